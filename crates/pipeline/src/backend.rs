@@ -1,4 +1,4 @@
-//! What computes: the CPU or a GPU.
+//! The device that computes: the CPU or a GPU.
 
 use tcgs_render::device::GpuInfo;
 use tcgs_render::{CpuRasterizer, DrawAny, draw_any};
@@ -8,7 +8,7 @@ use tcgs_train::engine::cpu::CpuEngine;
 
 use crate::PipelineError;
 
-/// What trains and draws.
+/// The device that trains and draws.
 ///
 /// ```
 /// use tcgs_pipeline::Backend;
@@ -28,8 +28,8 @@ pub enum Backend {
 impl Backend {
     /// Opens a GPU.
     ///
-    /// - `name`: a part of its name, in any case, with which software that acts as a GPU is found too; `None` for the
-    ///   first GPU in hardware
+    /// - `name`: a part of its name, in any case, which also finds software that acts as a GPU; `None` for the first
+    ///   GPU in hardware
     ///
     /// # Errors
     /// [`PipelineError::Gpu`] if there is none, or none that can compute; [`PipelineError::NotBuilt`] without feature
@@ -47,7 +47,7 @@ impl Backend {
         }
     }
 
-    /// What the GPU says of itself; `None` on the CPU.
+    /// The GPU's description of itself; `None` on the CPU.
     pub fn gpu_info(&self) -> Option<&GpuInfo> {
         match self {
             Self::Cpu => None,

@@ -1,4 +1,4 @@
-//! What can go wrong, and who is at fault: the input or the machine.
+//! Errors of this crate, and whose fault each is: the input's or the machine's.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -22,7 +22,7 @@ pub enum PipelineError {
         culprit: String,
         /// What was found.
         found: String,
-        /// What would be right.
+        /// The correct form.
         expected: String,
     },
     /// A file that the caller named cannot be read.
@@ -32,7 +32,7 @@ pub enum PipelineError {
         path: PathBuf,
         /// The system's answer.
         error: io::Error,
-        /// What the file should be.
+        /// The expected kind of file.
         expected: &'static str,
     },
     /// A file cannot be written.
@@ -48,7 +48,7 @@ pub enum PipelineError {
     Decode {
         /// The file.
         path: PathBuf,
-        /// What the decoder found.
+        /// The decoder's error.
         error: DecodeError,
     },
     /// A scene cannot be compressed.
@@ -160,7 +160,7 @@ impl From<TrainError> for PipelineError {
     }
 }
 
-/// Who is at fault.
+/// The party at fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Fault {
@@ -168,7 +168,7 @@ pub enum Fault {
     Input,
     /// The machine: no space left, a lost GPU, a parameter that became infinite.
     Machine,
-    /// Nobody: the observer stopped the call.
+    /// No fault: the observer stopped the call.
     Stopped,
 }
 
@@ -181,7 +181,7 @@ pub enum Fault {
 /// assert_eq!(error.fault(), Fault::Input);
 /// ```
 pub trait HasFault {
-    /// Who is at fault.
+    /// The party at fault.
     fn fault(&self) -> Fault;
 }
 
@@ -209,7 +209,7 @@ impl HasFault for PipelineError {
     }
 }
 
-/// Of an error while reading a file that was named: whether the name or the content is wrong.
+/// The fault of an error in reading a named file: the name or the content is wrong.
 impl HasFault for io::Error {
     fn fault(&self) -> Fault {
         use io::ErrorKind as Kind;

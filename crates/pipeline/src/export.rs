@@ -13,7 +13,7 @@ use tcgs_train::StandIns;
 use crate::observe::tell;
 use crate::{Event, Observer, OpenScene, PipelineError, Work, kept_gaussians};
 
-/// `params.npz` holds floats, of which the whole numbers end here.
+/// Number from which on floats, as in `params.npz`, no longer hold all whole numbers.
 const MAX_FRAME_OF_PARAMS: usize = 1 << 24;
 
 /// Kinds of files for one timestep.
@@ -35,7 +35,7 @@ impl TimestepKind {
         }
     }
 
-    /// What such a file is called.
+    /// The name of such a file in messages.
     fn name(self) -> &'static str {
         match self {
             Self::Ply => "a PLY file",
@@ -53,8 +53,8 @@ impl TimestepKind {
     }
 }
 
-/// Writes a scene for other programs, in floats. Of a run the Gaussians that its masks leave out over time are left out:
-/// such files have no place for masks.
+/// Writes a scene for other programs, in floats. A run is written without the Gaussians that its masks leave out over
+/// time, since such files have no masks.
 ///
 /// ```
 /// use tcgs_core::{DynamicGaussians, Gaussians};
@@ -76,7 +76,7 @@ impl TimestepKind {
 #[derive(Debug)]
 pub struct Export<'a> {
     scene: &'a OpenScene,
-    /// Of a run, those that its masks leave; none: all.
+    /// Gaussians of a run that its masks keep; none for all.
     keep: Option<Vec<usize>>,
 }
 
@@ -90,7 +90,7 @@ impl<'a> Export<'a> {
         Ok(Self { scene, keep })
     }
 
-    /// How many Gaussians stay of all that the scene has, as [`OpenScene::num_gaussians`] counts them.
+    /// Number of Gaussians that stay, counted as by [`OpenScene::num_gaussians`].
     pub fn num_gaussians(&self) -> usize {
         self.keep.as_ref().map_or(self.scene.num_gaussians(), Vec::len)
     }
@@ -107,7 +107,7 @@ impl<'a> Export<'a> {
         Ok(rows.map_or_else(|| gaussians.clone(), |rows| gaussians.select(&rows)))
     }
 
-    /// Rows of those that stay among those that live at a timestep; none: all.
+    /// Rows of the Gaussians that stay, among those that live at a timestep; none for all.
     fn rows(&self, timestep: usize) -> Option<Vec<usize>> {
         let keep = self.keep.as_ref()?;
         let Some(lives) = self.scene.lives() else { return Some(keep.clone()) };
@@ -115,7 +115,7 @@ impl<'a> Export<'a> {
         Some((0..living.len()).filter(|&row| keep.binary_search(&living[row]).is_ok()).collect())
     }
 
-    /// Indices, among all Gaussians, of those that stay at a frame; none if the scene does not identify them across
+    /// Indices, among all Gaussians, of those that stay at a frame. None if the scene does not identify them across
     /// timesteps.
     fn identities(&self, frame: usize) -> Result<Option<Vec<usize>>, PipelineError> {
         let living = self.scene.living(frame - self.scene.first_frame)?;
@@ -127,8 +127,7 @@ impl<'a> Export<'a> {
         })
     }
 
-    /// [`Self::gaussians`], at least one. The newborn of a run have the constants that they settled with, as in its
-    /// compressed file.
+    /// [`Self::gaussians`], at least one. The newborn of a run have their settled constants, as in its compressed file.
     fn settled(&self, frame: usize, stand_ins: &StandIns) -> Result<Gaussians, PipelineError> {
         let gaussians = self.some_gaussians(frame)?;
         let identities = self.identities(frame)?.filter(|_| stand_ins.lives().is_some());
@@ -155,13 +154,13 @@ impl<'a> Export<'a> {
         Ok(gaussians)
     }
 
-    /// The refusal of a column that a kind of file has no place for.
+    /// The refusal of a column that a kind of file cannot hold.
     fn refuse_column(&self, column: &Column, kind: &str, expected: &str) -> PipelineError {
         let found = format!("has the column {}, which {kind} cannot hold", column.name);
         PipelineError::input(self.scene.path.display(), found, expected)
     }
 
-    /// Refuses what files of other programs have no place for: no Gaussians, and columns of other kinds.
+    /// Refuses scenes that files of other programs cannot hold: no Gaussians, or columns of other kinds.
     fn check_columns(&self, kind: &str) -> Result<(), PipelineError> {
         self.check_some()?;
         let layout = self.scene.layout();
@@ -225,7 +224,7 @@ impl<'a> Export<'a> {
                 }
             }
         }
-        // A number of 32 bits, where frames are counted by dates or clocks, would be another one.
+        // A float of 32 bits would change larger numbers, such as frames counted by dates or clocks.
         if frames.start >= MAX_FRAME_OF_PARAMS {
             let found = format!("begins at frame {}, which a params.npz cannot hold", frames.start);
             let expected = format!("a frame below {MAX_FRAME_OF_PARAMS}, or a folder of PLY files to export to");
@@ -254,7 +253,8 @@ impl<'a> Export<'a> {
         Ok(move |file: &File| kind.write(file, &gaussians))
     }
 
-    /// The bytes of a `.4dgs` file of some frames ([`fourdgs_bytes`]). Reads a timestep at a time, but the file is made in memory.
+    /// The bytes of a `.4dgs` file of some frames ([`fourdgs_bytes`]). Reads one timestep at a time, but builds the
+    /// file in memory.
     ///
     /// # Errors
     /// As [`Self::timestep`]; [`PipelineError::Input`] if the format cannot hold the scene.
@@ -266,11 +266,12 @@ impl<'a> Export<'a> {
             .map_err(|problem| PipelineError::input(self.scene.path.display(), problem, "what a .4dgs file can hold"))
     }
 
-    /// Plain floats, bit for bit as they are stored: for each frame all means, quats, log_scales, logit_opacities and
-    /// colors, then the further columns in the order of the layout, each `[N, components]`, as little-endian binary32
-    /// (`docs/FORMAT.md`, "Conformance").
+    /// Plain floats, bit for bit as they are stored (`docs/FORMAT.md`, "Conformance"). Each frame has all means, quats,
+    /// log_scales, logit_opacities and colors, then the further columns in the order of the layout. Each is
+    /// `[N, components]`, as little-endian binary32.
     ///
-    /// - returns: `[N * 14 * 4]` bytes a frame of a scene without further columns, or why the frame cannot be read
+    /// - returns: `[N * 14 * 4]` bytes per frame of a scene without further columns, or the reason that the frame
+    ///   cannot be read
     ///
     /// # Errors
     /// [`PipelineError::Frames`] if the scene lacks a frame.
@@ -285,13 +286,14 @@ impl<'a> Export<'a> {
         Ok(self.scene.choose_frames(Some(&frames))?.map(move |frame| self.gaussians(frame).map(bytes)))
     }
 
-    /// Writes a file a frame, named by its number: `000012.ply`.
+    /// Writes one file per frame, named by its number: `000012.ply`.
     ///
-    /// - `folder`: exists; what is in it stays
+    /// - `folder`: exists; its contents stay
     /// - returns: bytes written
     ///
     /// # Errors
-    /// As [`Self::timestep`]; [`PipelineError::Unwritable`] if a file cannot be written; [`PipelineError::Stopped`] if the observer broke off.
+    /// As [`Self::timestep`]; [`PipelineError::Unwritable`] if a file cannot be written; [`PipelineError::Stopped`] if
+    /// the observer broke off.
     pub fn write_folder(
         &self,
         kind: TimestepKind,
@@ -323,12 +325,12 @@ pub struct ExportedParams<'a> {
     export: &'a Export<'a>,
     frames: Range<usize>,
     num_gaussians: usize,
-    /// `[N]`, of a scene that says so.
+    /// `[N]`; none if the scene does not say.
     foreground: Option<Vec<bool>>,
     stand_ins: StandIns,
 }
 
-/// The frames of an export that are asked for.
+/// The requested frames of an export.
 struct Frames<'a>(&'a ExportedParams<'a>);
 
 impl SceneReader for Frames<'_> {
@@ -357,10 +359,10 @@ impl ExportedParams<'_> {
         self.foreground.as_ref().is_some_and(|foreground| foreground.contains(&false))
     }
 
-    /// Writes the archive. Reads every timestep three times, and holds one.
+    /// Writes the archive. Reads every timestep three times, and holds one at a time.
     ///
     /// # Errors
-    /// What the writer reports, and what reading the scene does.
+    /// The writer's errors, and those of reading the scene.
     pub fn write<W: Write + Seek>(&self, writer: W) -> io::Result<W> {
         let scene = self.export.scene;
         let origin = ParamsOrigin {

@@ -1,14 +1,21 @@
 //! From a capture to a compressed scene and its quality: what the command line does, for programs.
 //!
 //! What lives here: opening a scene of any kind ([`OpenScene`]), and the steps that need several crates at once:
-//! training a run with prefetched images ([`fit`]), pruning and compressing ([`PrunedScene`], [`compress_scene`]),
-//! searching a size or a quality ([`search`] with a [`Judge`]), comparing with a capture ([`evaluate`]),
-//! comparing a file with what was compressed ([`compare`]), rendering ([`render`]), writing for other programs
-//! ([`Export`]), showing a capture before training ([`points_scene`]), and
-//! looking at a run while it is trained ([`LiveRun`]). What does not: arguments, progress bars and words for people (the command line), and the maths of each step (the crates below).
 //!
-//! Every input that is wrong is a [`PipelineError`]; [`HasFault::fault`] says whether the input or the machine failed. A
-//! long call tells an [`Observer`] what it does, and the observer may stop it.
+//! - training a run with prefetched images ([`fit`])
+//! - looking at a run during its training ([`LiveRun`])
+//! - showing a capture before training ([`points_scene`])
+//! - pruning and compressing ([`PrunedScene`], [`compress_scene`])
+//! - searching a size or a quality ([`search`] with a [`Judge`])
+//! - comparing with a capture ([`evaluate`]), or a file with its source ([`compare`])
+//! - rendering ([`render`])
+//! - writing for other programs ([`Export`])
+//!
+//! What does not: arguments, progress bars and words for people (the command line), and the maths of each step (the
+//! crates below).
+//!
+//! Every wrong input is a [`PipelineError`]; [`HasFault::fault`] tells whether the input or the machine failed. A long
+//! call reports its progress to an [`Observer`], which may stop it.
 //!
 //! ```
 //! use std::ops::ControlFlow;

@@ -1,4 +1,4 @@
-//! What a long call tells while it runs, and how it is stopped.
+//! Events of a long call, and its cancellation.
 
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -15,30 +15,30 @@ use crate::error::PipelineError;
 pub enum Event<'a> {
     /// A part of the work begins.
     Begun {
-        /// Which part.
+        /// The part.
         work: Work,
-        /// How many steps it has; [`Work`] says what a step is.
+        /// Its number of steps; [`Work`] defines a step.
         num_steps: usize,
     },
     /// A training starts from fewer points than a scene needs to become dense.
     FewPoints {
-        /// Points there are.
+        /// Number of points.
         found: usize,
-        /// Points from which on nothing would be said.
+        /// Smallest number of points without a warning.
         expected: usize,
     },
     /// A checkpoint is damaged and was set aside; its timestep is to be trained again.
     SetAside {
-        /// The file, as it was called.
+        /// The file's original name.
         checkpoint: &'a Path,
-        /// What is wrong with it.
+        /// The problem with it.
         problem: &'a str,
     },
     /// A timestep is about to be trained.
     TimestepBegun {
         /// Counted from the run's first.
         timestep: usize,
-        /// Of the capture.
+        /// Frame of the capture.
         frame: usize,
         /// The views that its PSNR is measured on.
         judged: &'a Arc<[View]>,
@@ -74,26 +74,26 @@ pub enum Event<'a> {
 pub struct TimestepSummary {
     /// Counted from the run's first.
     pub timestep: usize,
-    /// Of the capture.
+    /// Frame of the capture.
     pub frame: usize,
-    /// Gaussians after it.
+    /// Number of Gaussians after it.
     pub num_gaussians: usize,
-    /// How much of the scene and of its views it trained.
+    /// Trained share of the scene and of its views.
     pub trained: Trained,
     /// Weighted sum of the losses, mean over its last 50 iterations; 0 if it had none.
     pub loss: f64,
-    /// Mean over the views, in dB.
+    /// Mean PSNR over the views, in dB.
     pub psnr: f64,
-    /// Whether the views were held out from training; without such they are the training views.
+    /// Whether the views were held out from training; without held-out views they are the training views.
     pub held_out: bool,
-    /// Of training, without loading and measuring.
+    /// Seconds of training, without loading and measuring.
     pub seconds: f64,
 }
 
-/// One setting and what came of it.
+/// One setting and its result.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trial {
-    /// Of [`CompressSettings::with_quality`](tcgs_codec::CompressSettings::with_quality), in hundredths.
+    /// Quality of [`CompressSettings::with_quality`](tcgs_codec::CompressSettings::with_quality), in hundredths.
     pub(crate) steps: i32,
     /// Length of the file.
     pub bytes: u64,
@@ -102,7 +102,7 @@ pub struct Trial {
 }
 
 impl Trial {
-    /// Settings that a search tells apart within one unit of quality.
+    /// Settings that a search distinguishes within one unit of quality.
     pub(crate) const STEPS: i32 = 100;
 
     /// The quality tried, a whole number of hundredths.
@@ -111,25 +111,25 @@ impl Trial {
     }
 }
 
-/// One setting and the errors that it left.
+/// One setting and its errors.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ErrorTrial {
     /// Length of the file.
     pub bytes: u64,
-    /// By name of each attribute that has a bound: its largest error, as the file declares it; infinite if it cannot.
+    /// For each bounded attribute its name and its largest error, as the file declares it; infinite if it cannot.
     pub errors: Vec<(String, f64)>,
 }
 
 /// A setting that tuning tried.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TuningTrial {
-    /// The setting that was moved, in words.
+    /// The setting that was changed, in words.
     pub setting: &'static str,
     /// Length of the file.
     pub bytes: u64,
     /// Mean PSNR, dB.
     pub psnr: f64,
-    /// Fewer bytes at equal PSNR than at the start, as a share, if it is better than all before; estimated by the curve of
+    /// Share of bytes saved at equal PSNR against the start, if it is the best so far; estimated by the curve of
     /// qualities. None if it is not better.
     pub saved: Option<f64>,
 }
@@ -156,7 +156,7 @@ pub enum Work {
 }
 
 impl Work {
-    /// In a word: `training`.
+    /// One word: `training`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Training => "training",
@@ -170,7 +170,7 @@ impl Work {
     }
 }
 
-/// Hears of what happens in a long call, and may stop it. Every `FnMut(&Event) -> ControlFlow<()>` is one.
+/// Hears the events of a long call, and may stop it. Every `FnMut(&Event) -> ControlFlow<()>` is an observer.
 ///
 /// A call that is stopped returns [`PipelineError::Stopped`] and leaves nothing half-written.
 ///
@@ -205,7 +205,7 @@ impl Observer for Unobserved {
     }
 }
 
-/// Tells an event; an observer that breaks off ends the call.
+/// Reports an event; an observer that breaks off ends the call.
 pub(crate) fn tell(observer: &mut dyn Observer, event: Event) -> Result<(), PipelineError> {
     match observer.hear(&event) {
         ControlFlow::Continue(()) => Ok(()),

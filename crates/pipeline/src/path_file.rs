@@ -1,4 +1,4 @@
-//! A camera path that was saved from the player, read from its JSON file (docs/PLAYER.md).
+//! A camera path saved by the player, read from its JSON file (docs/PLAYER.md).
 
 use std::path::Path;
 
@@ -7,7 +7,7 @@ use tcgs_core::{Camera, CameraPath, MAX_PIXELS, read_file};
 
 use crate::PipelineError;
 
-/// Pixels a side at most, as of every image that a path is drawn in.
+/// Most pixels per side, as for every image drawn along a path.
 const MAX_SIDE: usize = 16384;
 /// Most bytes of a file: twenty thousand keyframes.
 const MAX_BYTES: u64 = 1 << 24;
@@ -21,7 +21,7 @@ struct Document {
     cameras: Vec<Keyframe>,
 }
 
-/// A camera at a timestep, as the player writes and reads it.
+/// A camera at a timestep, in the player's format.
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase", deny_unknown_fields)]
 struct Keyframe {
@@ -36,7 +36,7 @@ struct Keyframe {
     camera_from_world: [f64; 16],
 }
 
-/// Reads the camera path that the player saved: at least one keyframe, by increasing timestep.
+/// Reads a camera path saved by the player: at least one keyframe, by increasing timestep.
 ///
 /// # Errors
 /// [`PipelineError::Unreadable`] if there is no such file; [`PipelineError::Input`] if it holds anything else.

@@ -1,4 +1,4 @@
-//! A capture before any training, as a scene that a player shows: its points as small Gaussians, and its cameras as views.
+//! A capture before training, as a scene for players: its points as small Gaussians, and its cameras as views.
 
 use tcgs_capture::{Capture, Split};
 use tcgs_codec::{BitMap, CompressSettings, FileCamera, SceneInfo, VIEWS, compress, encode_with, write_views};
@@ -8,18 +8,18 @@ use tcgs_train::Parameters;
 use crate::PipelineError;
 use crate::compress::up_axis;
 
-/// A point's size over the distance to its neighbours: one can look through between the points, as cameras stand behind
-/// some of them.
+/// Size of a point relative to the distance to its neighbours. The gaps let viewers look through, since some cameras
+/// stand behind points.
 const POINT_SIZE: f32 = 0.3;
-/// Points far from all others are not drawn larger than this many usual points.
+/// Limit on the size of points far from all others, as a multiple of the usual size.
 const MAX_SIZE: f32 = 4.0;
-/// Opacity as it is stored: 0.98.
+/// Stored opacity: 0.98 after activation.
 const OPAQUE: f32 = 4.0;
-/// Bits of a number.
+/// Bit width of a number.
 const BITS: u8 = 10;
 
-/// A `.tcgs` file of one timestep with the initial points of a capture, and a view for each of its cameras. A capture that
-/// has no points yet shows a point where each camera is.
+/// A `.tcgs` file of one timestep with the initial points of a capture, and a view for each of its cameras. If a
+/// capture has no points yet, a point marks each camera.
 ///
 /// - `names`: of all cameras, in the order of [`Split::All`]
 ///

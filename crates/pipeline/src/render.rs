@@ -9,21 +9,21 @@ use tcgs_render::{DrawAny, RenderSettings};
 use crate::observe::tell;
 use crate::{Event, Observer, OpenScene, PipelineError, Work};
 
-/// A camera at a frame: what one image shows.
+/// A camera at a frame, which together define one image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraAt {
     /// Frame of the capture.
     pub frame: usize,
     /// The camera.
     pub camera: Camera,
-    /// The capture's number of the camera; none of a tour or a path.
+    /// The capture's number of the camera; none for a tour or a path.
     pub camera_id: Option<usize>,
 }
 
 impl CameraAt {
-    /// The held-out cameras of a capture at every frame; its training cameras where none is held out. Frame by frame.
+    /// The held-out cameras of a capture at every frame, or its training cameras if none is held out. Frame by frame.
     ///
-    /// - `size`: width and height of the images; none for that of the training
+    /// - `size`: width and height of the images; none for those of the training
     ///
     /// # Errors
     /// [`PipelineError`] if the scene or the capture lacks a frame.
@@ -47,7 +47,7 @@ impl CameraAt {
         Ok(all)
     }
 
-    /// A camera on a path around the scene's subject ([`OpenScene::tour`]), one step a frame.
+    /// Cameras on a path around the scene's subject ([`OpenScene::tour`]), one step per frame.
     ///
     /// - `size`: width and height of the images
     ///

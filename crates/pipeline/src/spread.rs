@@ -1,4 +1,4 @@
-//! Some of many, evenly.
+//! Evenly spaced selection.
 
 /// At most `count` numbers below `length`, evenly from 0 to the last.
 pub fn spread(length: usize, count: usize) -> impl Iterator<Item = usize> {

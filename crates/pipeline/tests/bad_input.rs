@@ -1,4 +1,4 @@
-//! Whatever a program gives, it gets a result: no input panics, and every error names its culprit in one line.
+//! Every call returns a result, whatever its input: no input panics, and every error names its culprit in one line.
 
 #![allow(clippy::unwrap_used)] // helpers of tests are not counted as tests
 

@@ -76,7 +76,7 @@ fn run_of(lives: &Lives, folder: &Path, first_frame: usize, hidden: &[usize]) ->
             *logit = if hidden.contains(i) { -20.0 } else { 20.0 };
         }
         let mut checkpoint = Checkpoint::of_parameters(parameters, std::slice::from_ref(&camera));
-        // What a timestep knows: who was born by then, and who has died.
+        // A timestep knows its births and deaths so far.
         let mut known = lives.clone();
         known.births.retain(|&birth| birth as usize <= timestep);
         known.deaths.truncate(known.births.len());
@@ -101,7 +101,7 @@ fn a_file_shows_each_gaussian_from_its_birth_to_its_death() {
         assert_eq!(now.num_gaussians(), count(timestep));
         assert_eq!(OpenScene::num_gaussians_at(&scene, timestep), count(timestep));
         let kept = OpenScene::at(&pruned, timestep).unwrap();
-        // The young have in a scene what they settled with.
+        // In a scene the young have the values with which they settled.
         assert!(kept.means() == now.means() && (timestep < 6 || kept == now), "timestep {timestep}");
         // Before its birth each stands as it is born, after its death as it died.
         let all = whole.scene.at(timestep);
@@ -118,11 +118,11 @@ fn a_file_shows_each_gaussian_from_its_birth_to_its_death() {
     let options =
         CompressOptions { bits: Some((8, 8)), views: 0, up: Some(UpAxis::Unknown), ..CompressOptions::default() };
     let compressed = compress_scene(&scene, &options).unwrap();
-    // From the disk the same bytes.
+    // Reading from disk gives the same bytes.
     let from_disk = CompressOptions { max_float_bytes: 0, ..options };
     assert!(compress_scene(&scene, &from_disk).unwrap().file == compressed.file);
 
-    // The run has no capture, whose cameras would tell how much each parameter matters.
+    // The run has no capture, whose cameras would measure sensitivity.
     let measured = PrunedScene::new(&scene, &CompressOptions::default()).unwrap();
     assert!(measured.bits_from.contains("cameras around the scene"), "{}", measured.bits_from);
 
@@ -134,7 +134,7 @@ fn a_file_shows_each_gaussian_from_its_birth_to_its_death() {
     for timestep in 0..NUM_TIMESTEPS {
         let (truth, found) = (OpenScene::at(&scene, timestep).unwrap(), OpenScene::at(&file, timestep).unwrap());
         assert_eq!(found.num_gaussians(), count(timestep), "timestep {timestep}");
-        // Each is where one of the truth is, as near as the file says.
+        // Each is within the declared error of a true one.
         let near = |a: &[f32; 3]| truth.means().iter().any(|b| (0..3).all(|d| (a[d] - b[d]).abs() <= largest));
         assert!(found.means().iter().all(near), "timestep {timestep}");
     }
@@ -157,7 +157,7 @@ fn a_file_of_version_1_is_refused_where_somebody_dies_although_nobody_is_born() 
 #[test]
 fn other_programs_files_have_who_lives_and_is_not_masked() {
     let folder = tempfile::tempdir().unwrap();
-    // Before and after those that die at 7.
+    // They surround those that die at 7.
     let hidden = [3, 15, 100, 232];
     let scene = open(run(folder.path(), 0, &hidden).folder());
     let export = Export::new(&scene).unwrap();
@@ -175,7 +175,7 @@ fn other_programs_files_have_who_lives_and_is_not_masked() {
     assert!(error.contains("227 Gaussians at frame 5 and 213 at frame 7"), "{error}");
     assert!(error.ends_with("or the frames 5..7 alone"), "{error}");
 
-    // The young have the opacities that they settle with.
+    // The young have the opacities with which they settle.
     let params = export.params(4..7).unwrap();
     params.write(&mut std::fs::File::create(&path).unwrap()).unwrap();
     let written = read_params_npz(&path).unwrap();

@@ -1,4 +1,4 @@
-//! How far a training says that it is.
+//! Reported progress of a training.
 
 #![allow(clippy::unwrap_used)] // helpers of tests are not counted as tests
 

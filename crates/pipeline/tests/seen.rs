@@ -1,4 +1,4 @@
-//! What no training camera sees is left out of a file, and dies when it is seen no more.
+//! Gaussians that no training camera sees are left out of a file, and die when they are no longer seen.
 
 #![allow(clippy::unwrap_used)] // helpers of tests are not counted as tests
 
@@ -12,8 +12,8 @@ use tcgs_pipeline::{CompressOptions, compress_scene};
 const IN_THE_ROOM: [f32; 3] = [0.0, -0.8, 0.2];
 const BEHIND_ALL_CAMERAS: [f32; 3] = [0.0, -0.8, -30.0];
 
-/// Three timesteps: one Gaussian stays in the room, one there is transparent, one leaves after the second timestep, and one is in
-/// no image.
+/// Three timesteps: one Gaussian stays in the room, one there is transparent, one leaves after the second timestep, and
+/// one is in no image.
 fn scene() -> DynamicGaussians {
     let mut scene = DynamicGaussians::default();
     for timestep in 0..3 {

@@ -1,4 +1,4 @@
-//! Which camera a file names first, and where paths around a scene lead.
+//! The first camera of a file, and the paths around a scene.
 
 #![allow(clippy::unwrap_used)] // helpers of tests are not counted as tests
 

@@ -1,4 +1,4 @@
-//! Scenes are read a timestep at a time, and no more of them than is asked for.
+//! Scenes are read one timestep at a time, and no timestep is read without need.
 
 #![allow(clippy::unwrap_used)] // helpers of tests are not counted as tests
 

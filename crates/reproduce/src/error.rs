@@ -1,4 +1,4 @@
-//! What can go wrong with a table.
+//! Errors of making a table.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -8,11 +8,12 @@ use tcgs_pipeline::{Fault, HasFault, PipelineError};
 use tcgs_render::device::GpuError;
 use tcgs_train::TrainError;
 
-/// Why a table could not be made. Every message is one line, and causes are part of it.
+/// Why a table could not be made. Every message is one line that includes its causes.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReproduceError {
-    /// An argument, a capture, or what lies in the output folder is wrong: the culprit, what was found and expected.
+    /// An argument, a capture, or the content of the output folder is wrong: the culprit, the finding and the
+    /// expectation.
     #[error("{0}")]
     Input(String),
     /// The folder of captures lacks a folder for some scenes of the table.
@@ -38,7 +39,7 @@ pub enum ReproduceError {
     /// The file system refused.
     #[error("{action} {}: {error}", path.display())]
     File {
-        /// What was tried.
+        /// The attempted action.
         action: &'static str,
         /// The file or folder.
         path: PathBuf,
@@ -50,10 +51,10 @@ pub enum ReproduceError {
     Step {
         /// The step as a person would type it.
         command: String,
-        /// How it ended, and how to go on.
+        /// The step's end, and advice for going on.
         problem: String,
     },
-    /// A file of this crate that says what a table is made of contradicts itself.
+    /// A file of this crate that defines a table contradicts itself.
     #[error("{0}")]
     Table(String),
     /// A run, a scene or a capture.
@@ -83,7 +84,7 @@ macro_rules! through_the_pipeline {
 }
 through_the_pipeline!(CaptureError, TrainError, GpuError);
 
-/// For `map_err` of what a file is read or written with.
+/// For `map_err` of reading and writing files.
 pub(crate) fn file<E: Into<io::Error>>(action: &'static str, path: &Path) -> impl FnOnce(E) -> ReproduceError {
     let path = path.to_path_buf();
     move |error| ReproduceError::File { action, path, error: error.into() }

@@ -21,30 +21,30 @@ use crate::error::{file, wrong_input};
 
 /// Exit code of a step that was stopped by a signal.
 const STOPPED: i32 = 130;
-/// In the folder of a measurement.
+/// Name of the result in a measurement's folder.
 const RESULT: &str = "result.json";
 
-/// Where captures, runs and results lie, and how steps are run.
+/// Locations of captures, runs and results, and the execution of steps.
 #[derive(Clone, Debug)]
 pub struct Workplace {
-    /// Folder of the captures, which holds a folder a scene.
+    /// Folder of the captures, with a folder for each scene.
     pub data: PathBuf,
-    /// Folder for everything that is written.
+    /// Folder for all output.
     pub out: PathBuf,
     /// Arguments of `tcgs train` and `tcgs eval` that choose CPU or GPU; results do not depend on them.
     pub backend: Vec<String>,
     /// Threads of every step; results do not depend on it. `None`: as many as cores.
     pub threads: Option<usize>,
-    /// Whether runs made by other arguments are made again.
+    /// Whether to repeat runs that were made by other arguments.
     pub force: bool,
     /// The command that a person types for this table, without `--only`.
     pub command: Vec<String>,
-    /// The command line's program, which every step is run with.
+    /// The command line's program, which runs every step.
     pub program: PathBuf,
     /// Runs a step to its end; [`io::ErrorKind::Interrupted`] if no further step may begin. A step is a process of its
     /// own, so the function may have to pass signals on.
     pub run: fn(&mut Command) -> io::Result<ExitStatus>,
-    /// What the program was built from; results name it.
+    /// Commit of the program; results name it.
     pub commit: &'static str,
     /// Receives a line for every step and wait, for people.
     pub tell: fn(&str),
@@ -55,7 +55,7 @@ impl Workplace {
         self.out.join("runs").join(&job.scene).join(&job.run)
     }
 
-    /// What a measurement leaves to be drawn.
+    /// A measurement's output for drawing.
     pub fn drawable(&self, job: &Job, measure: &str) -> PathBuf {
         let folder = self.folder(job);
         let what = &job.measures[measure];
@@ -71,7 +71,7 @@ impl Workplace {
         self.data.join(scene)
     }
 
-    /// What a measurement found, if it is done.
+    /// The result of a measurement, if it is done.
     ///
     /// # Errors
     /// If it was made by other arguments.
@@ -93,7 +93,7 @@ impl Workplace {
         Err(other_arguments(path, &result["arguments"], wanted))
     }
 
-    /// Whether all of a job is done.
+    /// Whether all measurements of a job are done.
     pub fn is_done(&self, job: &Job) -> Result<bool, ReproduceError> {
         for measure in job.measures.keys() {
             if self.result(job, measure)?.is_none() {
@@ -112,11 +112,11 @@ fn other_arguments(path: PathBuf, found: &Value, expected: Value) -> ReproduceEr
     ReproduceError::OtherArguments { path, found: Box::new(found.clone()), expected: Box::new(expected) }
 }
 
-/// Runs what lacks a result, one training after another; those that another process works on come last, and are waited
-/// for.
+/// Runs steps without a result, one training after another. Trainings that another process works on come last, and are
+/// waited for.
 ///
 /// # Errors
-/// [`ReproduceError`] if a step fails, or if there are results by other arguments. What is done stays done.
+/// [`ReproduceError`] if a step fails, or if there are results by other arguments. Finished steps stay finished.
 pub fn execute(place: &Workplace, jobs: &[Job]) -> Result<(), ReproduceError> {
     let mut missing = Vec::new();
     for job in jobs {
@@ -135,7 +135,7 @@ pub fn execute(place: &Workplace, jobs: &[Job]) -> Result<(), ReproduceError> {
                 taken.push(job);
                 continue;
             };
-            // Another process may have done it meanwhile.
+            // Another process may have finished it meanwhile.
             if !place.is_done(job)? {
                 let each = begin.elapsed().as_secs_f64() / f64::from(done.max(1));
                 let left = (total - done as usize) as f64 * each;
@@ -149,7 +149,7 @@ pub fn execute(place: &Workplace, jobs: &[Job]) -> Result<(), ReproduceError> {
     Ok(())
 }
 
-/// Such as `2 h 5 min`.
+/// Formats a duration, such as `2 h 5 min`.
 fn show_seconds(seconds: f64) -> String {
     match (seconds / 60.0).ceil() as u64 {
         minutes if minutes >= 60 => format!("{} h {} min", minutes / 60, minutes % 60),
@@ -157,7 +157,7 @@ fn show_seconds(seconds: f64) -> String {
     }
 }
 
-/// Held until dropped; none if another process has it and we do not wait.
+/// Locks a folder until the file is dropped; none if another process holds the lock and `wait` is false.
 fn lock(folder: &Path, wait: bool, tell: fn(&str)) -> Result<Option<File>, ReproduceError> {
     let path = folder.join("lock");
     fs::create_dir_all(folder).map_err(file("creating", folder))?;
@@ -168,7 +168,7 @@ fn lock(folder: &Path, wait: bool, tell: fn(&str)) -> Result<Option<File>, Repro
             tell(&format!("{}: waiting for the process that is at it", folder.display()));
             lock.lock().map_err(file("locking", &path))?;
         }
-        // Some network drives know no locks.
+        // Some network drives do not support locks.
         _ => {}
     }
     Ok(Some(lock))
@@ -185,10 +185,10 @@ fn run(place: &Workplace, job: &Job) -> Result<(), ReproduceError> {
     Ok(())
 }
 
-/// What training left, and how it came about.
+/// The result of a training, and its log.
 struct Trained {
     result: Value,
-    /// Every time that it was begun.
+    /// An entry for every start of the training.
     steps: Vec<Value>,
 }
 
@@ -203,7 +203,8 @@ fn train(place: &Workplace, job: &Job, folder: &Path) -> Result<Trained, Reprodu
     }
     if other.is_some() {
         steps.clear();
-        // The run first: stopped between, what is left still says by which arguments it was made.
+        // Removes the run before its log: after an interruption the log still tells by which arguments the run was
+        // made.
         if run.exists() {
             fs::remove_dir_all(&run).map_err(file("removing", &run))?;
         }
@@ -215,7 +216,7 @@ fn train(place: &Workplace, job: &Job, folder: &Path) -> Result<Trained, Reprodu
         let mut arguments =
             vec!["train".into(), argument(&place.capture(&job.scene))?, "--out".into(), argument(&run)?];
         arguments.extend_from_slice(&job.arguments);
-        // Typed once, that is how it begins; it goes on in the same way.
+        // The command that begins the training also resumes it.
         let command = command_line(&arguments);
         let step = json!({ "command": command, "arguments": job.arguments, "commit": place.commit });
         append_line(&log, &step)?;
@@ -225,7 +226,7 @@ fn train(place: &Workplace, job: &Job, folder: &Path) -> Result<Trained, Reprodu
         let advice = "its whole checkpoints are kept, and the same command goes on after them";
         let outcome = step_of(place, arguments, &command, advice);
         if outcome.is_err() && !run.join("config.toml").is_file() {
-            // What was refused made nothing by these arguments.
+            // A refused training made nothing by these arguments.
             remove(&log)?;
         }
         outcome?;
@@ -269,7 +270,7 @@ fn measure_run(
     if let Some(more) = &measure.compress {
         let mut arguments = vec![argument(&run)?, "--out".into(), argument(&drawable)?];
         arguments.extend_from_slice(more);
-        // A job says itself whether its file is refined.
+        // A job decides itself whether its file is refined.
         if !more.iter().any(|option| option == "--refine") {
             arguments.extend(["--refine", "off"].map(String::from));
         }
@@ -308,7 +309,7 @@ fn measure_run(
     write_file(&here.join(RESULT), format!("{result:#}\n").as_bytes())
 }
 
-/// What follows from results.
+/// Numbers derived from results.
 fn derived(result: &Map<String, Value>) -> Value {
     let histogram = &result.get("info").map_or(Value::Null, |info| info["bits_histogram"].clone());
     let (mut bits, mut values) = (0.0, 0.0);
@@ -319,11 +320,11 @@ fn derived(result: &Map<String, Value>) -> Value {
             values += count;
         }
     }
-    // How many times fewer bits than floats have, positions apart.
+    // Bits of floats over stored bits, without positions.
     if values > 0.0 { json!({ "compression": 32.0 * values / bits }) } else { json!({}) }
 }
 
-/// Runs this program with other arguments; what it says goes to standard error.
+/// Runs this program with other arguments; its output goes to standard error.
 fn step_of(place: &Workplace, mut arguments: Vec<String>, command: &str, advice: &str) -> Result<(), ReproduceError> {
     if let Some(threads) = place.threads {
         arguments.extend(["--threads".into(), threads.to_string()]);
@@ -376,7 +377,7 @@ fn read_lines(path: &Path) -> Result<Vec<Value>, ReproduceError> {
         return Ok(Vec::new());
     }
     let text = fs::read_to_string(path).map_err(file("reading", path))?;
-    // A line cut short was of a step that never began.
+    // A line cut short belongs to a step that never began.
     Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
 }
 
@@ -385,7 +386,7 @@ fn append_line(path: &Path, line: &Value) -> Result<(), ReproduceError> {
     log.write_all(format!("{line}\n").as_bytes()).map_err(file("writing", path))
 }
 
-/// Writes a file whole or not at all, over one that is there.
+/// Writes a file whole or not at all, and replaces an existing one.
 pub(crate) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), ReproduceError> {
     write_whole(path, Existing::Replace, |into| into.write_all(bytes)).map_err(file("writing", path))
 }
@@ -427,7 +428,8 @@ mod tests {
             "means": { "16": 10 }, "quats": { "4": 10 }, "log_scales": { "4": 5, "8": 5 },
             "logit_opacities": { "8": 10 }, "colors": { "4": 10 },
         } });
-        // Per Gaussian: 4 rotations of 4, 3 scales of 6 on average, an opacity of 8, 3 colours of 4: 54 in 11.
+        // Per Gaussian: 4 rotations of 4, 3 scales of 6 on average, an opacity of 8, 3 colours of 4: 54 bits in 11
+        // values.
         let derived = derived(&Map::from_iter([("info".to_owned(), info)]));
         assert!((derived["compression"].as_f64().unwrap() - 32.0 * 11.0 / 54.0).abs() < 1e-12);
     }

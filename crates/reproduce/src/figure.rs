@@ -1,4 +1,4 @@
-//! Plots of a table, and the page that shows all.
+//! Plots of a table, and its page.
 
 use std::fmt::Write;
 
@@ -26,14 +26,14 @@ pub enum Figure {
 }
 
 impl Figure {
-    /// Above it.
+    /// Title above the plot.
     pub fn title(&self) -> &str {
         match self {
             Self::Lines { title, .. } | Self::Points { title, .. } | Self::Columns { title, .. } => title,
         }
     }
 
-    /// Empty without anything to show.
+    /// The plot as SVG; empty without data.
     pub fn svg(&self) -> String {
         match self {
             Self::Lines { title, axes, lines } => plot::lines(title, axes, lines),
@@ -43,7 +43,7 @@ impl Figure {
     }
 }
 
-/// All that a table shows.
+/// The content of a table's page.
 pub struct Shown {
     /// Blocks of numbers.
     pub sheets: Vec<Sheet>,
@@ -149,7 +149,7 @@ fn figures(plan: &TablePlan, plot: &Plot, results: &Results) -> Result<Vec<Figur
     Ok(figures)
 }
 
-/// Scenes whose numbers are shown as one mark: their name, where the paper's numbers are, and which they are.
+/// Scenes whose numbers share one mark: the group's name, the key of the paper's numbers, and the scenes.
 type SceneGroup<'a> = (String, String, Vec<&'a String>);
 
 fn groups(plan: &TablePlan) -> Vec<SceneGroup<'_>> {

@@ -1,10 +1,10 @@
 //! The paper's tables and figures, from captures to LaTeX: a laboratory around the pipeline.
 //!
-//! What a table is made of is in `tables/`, one file each: which trainings, which measurements of them, which columns,
-//! and the paper's numbers. [`plan`] reads such a file; [`execute`] runs what lacks a result, each step as the program of
-//! the command line in a process of its own, so that every step is a command that a person can type; [`write()`] makes
-//! text, CSV, LaTeX, JSON, a page and SVG plots from the results alone. [`html`] makes the page of one run in the same
-//! style. What does not live here: arguments of a command line, and how training and compression work.
+//! A file in `tables/` defines a table: its trainings, measurements, columns, and the paper's numbers. [`plan`] reads
+//! such a file. [`execute`] runs steps without a result, each as a process of the command line's program, so that a
+//! person can type every step. [`write()`] makes text, CSV, LaTeX, JSON, a page and SVG plots from the results alone.
+//! [`html`] makes the page of one run in the same style. What does not live here: arguments of a command line, training
+//! and compression.
 //!
 //! ```
 //! use tcgs_reproduce::{Size, plan, tables};
@@ -52,10 +52,10 @@ pub fn check_captures(plan: &TablePlan, place: &Workplace) -> Result<(), Reprodu
     Err(ReproduceError::NoCaptures { data: place.data.clone(), missing, present })
 }
 
-/// A command for each run that lacks something, for GNU parallel or a batch system.
+/// Commands for all runs that lack something, for GNU parallel or a batch system.
 ///
 /// # Errors
-/// [`ReproduceError::OtherArguments`] if there is a result that was made by other arguments.
+/// [`ReproduceError::OtherArguments`] if a result was made by other arguments.
 pub fn missing_commands(plan: &TablePlan, place: &Workplace) -> Result<Vec<String>, ReproduceError> {
     let program = quoted(&argument(&place.program)?);
     let mut commands = Vec::new();
@@ -84,13 +84,13 @@ pub struct Written {
     pub text: String,
     /// The table for machines.
     pub json: Value,
-    /// Where its page is.
+    /// Path of its page.
     pub page: PathBuf,
 }
 
-/// Writes a table and its figures into the output folder, from the results that there are.
+/// Writes a table and its figures into the output folder, from the existing results.
 ///
-/// - `renderer`: draws the pictures of a table that has some ([`TablePlan::has_pictures`]); without it they are left out
+/// - `renderer`: draws the table's pictures ([`TablePlan::has_pictures`]); without it they are left out
 ///
 /// # Errors
 /// [`ReproduceError`] if a result was made by other arguments, a scene cannot be drawn, or a file cannot be written.
@@ -133,7 +133,7 @@ pub fn write(plan: &TablePlan, place: &Workplace, renderer: Option<&DrawAny>) ->
     Ok(Written { text, json, page })
 }
 
-/// For the name of a file.
+/// Turns a title into a part of a file name.
 fn slug(title: &str) -> String {
     let title = title.split(';').next().unwrap_or(title);
     let plain = title.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { ' ' });

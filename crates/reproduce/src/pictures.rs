@@ -17,12 +17,12 @@ use crate::report::png;
 
 /// Timesteps shown: the first, the middle and the last.
 const SHOWN: usize = 3;
-/// Between pictures, pixels.
+/// Gap between pictures, pixels.
 const GAP: u32 = 4;
 /// Pictures narrower than this are enlarged.
 const WIDTH: u32 = 320;
 
-/// A grid a scene: a row a timestep, ground truth first. Also which file each belongs into.
+/// One grid per scene, with one row per timestep, ground truth first. Also returns the file for each.
 pub fn grids(
     plan: &TablePlan,
     place: &Workplace,

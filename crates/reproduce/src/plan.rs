@@ -1,7 +1,7 @@
-//! What a table of the paper is made of: files beside this one, read once and checked.
+//! Definitions of the paper's tables: files beside this one, read once and checked.
 //!
-//! What lives here: the words of those files, and what they come to for the scenes and the size asked for. Nothing
-//! here runs anything.
+//! What lives here: the words of those files, and their meaning for the requested scenes and size. Nothing here runs
+//! anything.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use serde::Deserialize;
 use crate::ReproduceError;
 use crate::error::wrong_input;
 
-/// Tables there are: name and file.
+/// All tables: name and file.
 const TABLES: [(&str, &str); 14] = [
     ("main", include_str!("tables/main.toml")),
     ("panoptic", include_str!("tables/panoptic.toml")),
@@ -29,7 +29,7 @@ const TABLES: [(&str, &str); 14] = [
 ];
 const SHARED: &str = include_str!("tables/shared.toml");
 
-/// How many frames are trained, for how many iterations, at which image size.
+/// Number of frames and iterations, and image size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Size {
     /// The paper's frames and schedule.
@@ -56,7 +56,7 @@ struct Dataset {
     small: Vec<String>,
 }
 
-/// What is measured of a trained run. Every measurement ends with `eval`, but one of an analysis alone.
+/// Measurements of a trained run. Every measurement ends with `eval`, except one that is only an analysis.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Measure {
@@ -88,40 +88,40 @@ fn one() -> f64 {
     1.0
 }
 
-/// Which blocks of numbers a table has.
+/// Arrangement of a table's numbers in blocks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TableLayout {
-    /// A block a scene: rows by columns.
+    /// One block per scene: rows by columns.
     #[default]
     Rows,
-    /// A block a column: rows by scenes, and the mean over scenes.
+    /// One block per column: rows by scenes, and the mean over scenes.
     Scenes,
-    /// A block a dataset: rows by columns, each number a mean over the dataset's scenes.
+    /// One block per dataset: rows by columns, each number a mean over the dataset's scenes.
     Means,
 }
 
-/// What a file `tables/NAME.toml` says.
+/// Content of a file `tables/NAME.toml`.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Table {
-    /// What the table shows.
+    /// Title of the table.
     pub title: String,
     /// The table or figure of the paper that this one reproduces.
     pub paper: String,
-    /// Notes below the table: what a reader must know, and where the paper contradicts itself.
+    /// Notes below the table: necessary background, and contradictions in the paper.
     pub notes: Vec<String>,
-    /// Which blocks of numbers the table has.
+    /// Arrangement of the numbers in blocks.
     #[serde(default)]
     pub layout: TableLayout,
     /// The scenes of the paper's table.
     pub scenes: Vec<String>,
-    /// Names of the columns that are shown, defined in this file or in `tables/shared.toml`.
+    /// Names of the shown columns, defined in this file or in `tables/shared.toml`.
     #[serde(default)]
     pub show: Vec<String>,
     #[serde(default)]
     columns: BTreeMap<String, Column>,
-    /// Told to `train` beside what the dataset says, and instead where both say it.
+    /// Arguments of `train` in addition to the dataset's, which they override.
     #[serde(default)]
     full: Vec<String>,
     #[serde(default)]
@@ -130,7 +130,7 @@ pub struct Table {
     runs: BTreeMap<String, Vec<String>>,
     #[serde(default)]
     measures: BTreeMap<String, Measure>,
-    /// The rows: a method each.
+    /// The rows, one per method.
     #[serde(default)]
     pub rows: Vec<Row>,
     /// Analyses of runs, whose tables and plots are shown after the table.
@@ -147,7 +147,7 @@ pub struct Table {
 pub struct Row {
     /// Text before the numbers.
     pub label: String,
-    /// Name of the training that is measured; `None`: a method of which only the paper has numbers.
+    /// Name of the measured training; `None` for a method of which only the paper has numbers.
     pub run: Option<String>,
     /// Name of the measurement.
     pub measure: Option<String>,
@@ -162,7 +162,7 @@ pub struct Row {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Plot {
-    /// What the figure shows.
+    /// Kind of the figure.
     pub kind: PlotKind,
     /// Text above the figure.
     pub title: String,
@@ -178,13 +178,13 @@ pub struct Plot {
     pub log_x: bool,
 }
 
-/// What a figure shows.
+/// Kinds of figures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PlotKind {
-    /// A mark a row, and marks for the paper's numbers.
+    /// A mark per row, and marks for the paper's numbers.
     Points,
-    /// PSNR at every timestep, a line a row.
+    /// PSNR at every timestep, a line per row.
     Time,
     /// A column over the rows' abscissa.
     Sweep,
@@ -192,7 +192,7 @@ pub enum PlotKind {
     Pictures,
 }
 
-/// A training and all that is measured of it, at one scene.
+/// A training at one scene with all its measurements.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Job {
     /// Name of the scene, and of its capture's folder below [`Workplace::data`](crate::Workplace::data).
@@ -201,18 +201,18 @@ pub struct Job {
     pub run: String,
     /// Arguments of `tcgs train`.
     pub arguments: Vec<String>,
-    /// What is measured of the training, by name.
+    /// Measurements of the training, by name.
     pub measures: BTreeMap<String, Measure>,
 }
 
-/// A table, and what has to be run for the scenes and the size that were asked for.
+/// A table, and the jobs for the requested scenes and size.
 #[derive(Clone, Debug)]
 pub struct TablePlan {
     /// Name of the table, such as `ablation`.
     pub name: String,
-    /// What the table's file says.
+    /// Content of the table's file.
     pub table: Table,
-    /// The columns that are shown and their names, in the table's order.
+    /// The shown columns and their names, in the table's order.
     pub columns: Vec<(String, Column)>,
     /// The scenes, in the table's order.
     pub scenes: Vec<String>,
@@ -241,7 +241,7 @@ fn missing(what: String) -> ReproduceError {
 /// The plan of a table.
 ///
 /// - `name`: one of [`tables`]
-/// - `scenes`: the scenes that are wanted, also such as the paper does not have; `None`: all of the paper's table
+/// - `scenes`: requested scenes, which need not be the paper's; `None` for all of the paper's table
 /// - `over`: arguments of `tcgs train` that replace those of the table's files
 ///
 /// # Errors
@@ -268,7 +268,7 @@ pub fn plan(name: &str, scenes: Option<&[String]>, size: Size, over: &[String]) 
 }
 
 impl Job {
-    /// The name of its training, which says the scene as well: `SCENE/RUN`.
+    /// The name of its training, which includes the scene: `SCENE/RUN`.
     pub fn name(&self) -> String {
         format!("{}/{}", self.scene, self.run)
     }
@@ -307,15 +307,15 @@ impl TablePlan {
         Ok(jobs)
     }
 
-    /// The dataset that a scene belongs to: of the paper's, or one of its own.
+    /// The dataset of a scene: one of the paper's, or one of its own.
     pub fn dataset<'a>(&'a self, scene: &'a str) -> &'a str {
         let found = self.shared.datasets.iter().find(|(_, dataset)| dataset.scenes.iter().any(|s| s == scene));
         found.map_or(scene, |(name, _)| name)
     }
 }
 
-/// Options of a command line, with those of `over` in the place of the same ones of `base`. `--set` may be repeated;
-/// of one key the last counts anyway.
+/// Options of a command line, in which those of `over` replace the same options of `base`. `--set` may be repeated; the
+/// last value of a key counts.
 fn merged(base: Vec<String>, over: &[String]) -> Vec<String> {
     let mut options = grouped(&base);
     for option in grouped(over) {
@@ -374,7 +374,7 @@ mod tests {
                 }
                 for job in plan.jobs {
                     let place = (job.scene.clone(), job.run.clone());
-                    // Results are shared between tables by these names.
+                    // Tables share results by these names.
                     let known = runs.entry(place.clone()).or_insert_with(|| job.arguments.clone());
                     assert_eq!(*known, job.arguments, "{name}: {place:?}");
                     for (measure, what) in job.measures {
@@ -400,7 +400,7 @@ mod tests {
                 }
             }
         }
-        // Its mean over scenes of sizes is not the one that it prints.
+        // The printed mean of sizes is not the mean over scenes.
         let table = &tables().unwrap()[1].1;
         let ours = &table.rows.iter().find(|row| row.label == "TC3DGS").unwrap().paper;
         let sizes: Vec<f64> = table.scenes.iter().map(|scene| ours[scene]["storage"]).collect();

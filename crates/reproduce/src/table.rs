@@ -13,9 +13,9 @@ use crate::report::plot::escape;
 /// A block of a table.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Sheet {
-    /// Above it.
+    /// Title above the block.
     pub title: String,
-    /// Above the cells.
+    /// Names above the cells.
     pub head: Vec<String>,
     /// Rows.
     pub lines: Vec<Line>,
@@ -24,22 +24,22 @@ pub struct Sheet {
 /// A row of a block.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Line {
-    /// Before the cells.
+    /// Name before the cells.
     pub label: String,
-    /// As many as the head has.
+    /// One cell per name of the head.
     pub cells: Vec<Cell>,
 }
 
-/// A number, the paper's, or both.
+/// Our number, the paper's, or both.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Cell {
     /// Ours.
     pub value: Option<f64>,
     /// The paper's.
     pub paper: Option<f64>,
-    /// After the point; none: with an exponent.
+    /// Digits after the point; none for an exponent.
     pub digits: Option<usize>,
-    /// What made it: `SCENE/RUN/MEASURE`, some.
+    /// Results behind the number: `SCENE/RUN/MEASURE`.
     #[serde(default)]
     pub sources: Vec<String>,
 }
@@ -57,7 +57,7 @@ impl Cell {
         })
     }
 
-    /// Ours, then the paper's in parentheses.
+    /// Our number, then the paper's in parentheses.
     fn text(&self) -> String {
         match (self.show(self.value), self.show(self.paper)) {
             (Some(value), Some(paper)) => format!("{value} ({paper})"),
@@ -71,7 +71,7 @@ impl Cell {
 /// Results of measurements: by scene, run and measure.
 pub type Results = BTreeMap<String, Value>;
 
-/// Where a row's result of a scene is in [`Results`].
+/// Key of a row's result for a scene in [`Results`].
 pub fn key(scene: &str, row: &Row) -> Option<String> {
     Some(format!("{scene}/{}/{}", row.run.as_ref()?, row.measure.as_ref()?))
 }
@@ -108,7 +108,7 @@ pub fn sheets(plan: &TablePlan, results: &Results) -> Result<Vec<Sheet>, Reprodu
     };
     let mean = |scenes: &[&String], row: &Row, place: &str, column: &(String, Column)| {
         let cells: Vec<Cell> = scenes.iter().map(|scene| cell(scene, row, scene, column)).collect();
-        // Of all or of none: means over different scenes cannot be compared.
+        // All scenes or no mean: means over different scenes cannot be compared.
         let sum = cells.iter().map(|cell| cell.value).sum::<Option<f64>>();
         let sources = if sum.is_some() { cells.into_iter().flat_map(|c| c.sources).collect() } else { Vec::new() };
         let paper = cell("", row, place, column).paper;
@@ -157,7 +157,7 @@ pub fn sheets(plan: &TablePlan, results: &Results) -> Result<Vec<Sheet>, Reprodu
     Ok(sheets)
 }
 
-/// For people.
+/// The table for people.
 pub fn text(title: &str, notes: &[String], sheets: &[Sheet]) -> String {
     let mut text = format!("{title}\n");
     for sheet in sheets {
@@ -184,7 +184,7 @@ pub fn text(title: &str, notes: &[String], sheets: &[Sheet]) -> String {
     text
 }
 
-/// One line a number, with what made it.
+/// One line per number, with its sources.
 pub fn csv(sheets: &[Sheet], results: &Results) -> String {
     let mut csv = String::from("block,row,column,value,paper,sources,commits,commands\n");
     let joined = |sources: &[String], name: &str| {
@@ -220,12 +220,12 @@ fn cells(sheets: &[Sheet]) -> impl Iterator<Item = (&Sheet, &Line, &String, &Cel
     })
 }
 
-/// RFC 4180.
+/// Quotes a field (RFC 4180).
 fn quoted(field: &str) -> String {
     if field.contains([',', '"', '\n']) { format!("\"{}\"", field.replace('"', "\"\"")) } else { field.into() }
 }
 
-/// A `tabular` a block, for `booktabs`.
+/// One `tabular` per block, for `booktabs`.
 pub fn tex(title: &str, sheets: &[Sheet]) -> String {
     let mut tex = format!("% {title}\n% \\usepackage{{booktabs}}; in parentheses: the paper's\n");
     for sheet in sheets {
@@ -271,7 +271,7 @@ fn tex_text(text: &str) -> String {
     escaped
 }
 
-/// For a page.
+/// A block for a page.
 pub fn html(sheet: &Sheet) -> String {
     let mut html = String::from("<div class=\"scroll\"><table><thead><tr><th scope=\"col\"></th>");
     for head in &sheet.head {
@@ -354,7 +354,8 @@ mod tests {
         let sheets = sheets(&plan, &results).unwrap();
         assert_eq!((sheets.len(), sheets[0].lines.len()), (1, plan.table.rows.len()));
         let text = text("T", &plan.table.notes, &sheets);
-        // PSNR, the authors' PSNR, SSIM, Gaussians, storage, file, FPS and seconds; what is not measured is not 0.
+        // PSNR, the authors' PSNR, SSIM, Gaussians, storage, file, FPS and seconds; a number that was not measured is
+        // not 0.
         let expected = ["28.46 (27.90)", "-", "-", "189.0 (189.0)", "5.000 (44.000)", "44.000", "(750)", "4"];
         let row: Vec<String> = sheets[0].lines[3].cells.iter().map(Cell::text).collect();
         assert_eq!(row, expected);

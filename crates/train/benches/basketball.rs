@@ -1,6 +1,6 @@
-//! Rendering and whole training iterations on the basketball capture's initial cloud, filled up to
-//! 100,000 Gaussians with slightly moved copies: at a quarter of the images' size, where the goal is
-//! 60 ms for forward and backward of five channels on two cores, and at all of it.
+//! Rendering and whole training iterations on the basketball capture's initial cloud, filled up to 100,000 Gaussians
+//! with slightly moved copies. Runs at a quarter of the images' size and at full size. The goal at a quarter is 60 ms
+//! for forward and backward of five channels on two cores.
 
 use std::hint::black_box;
 use std::path::Path;

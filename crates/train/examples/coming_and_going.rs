@@ -1,10 +1,10 @@
-//! What deaths are worth where things come and go: a room whose walls stand still, and balls that cross it one after another,
-//! each on a way of its own. Trains it with births, with deaths and without, and prints the Gaussians that there are, the time
-//! and the PSNR on a held-out camera, as a mean over fifteen timesteps.
+//! The value of deaths in a scene where objects come and go: a room with still walls, and balls that cross it one after
+//! another, each on its own path. Trains it with births, with and without deaths. Prints the number of Gaussians, the
+//! time, and the PSNR on a held-out camera, as means over fifteen timesteps.
 //!
 //! `cargo run --release -p tcgs-train --example coming_and_going [T=90] [PATIENCE=20] [OUT]`
 //!
-//! The runs are left in `OUT`, where one is given.
+//! The runs are left in `OUT` if it is given.
 
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -15,7 +15,7 @@ use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
 use tcgs_train::engine::cpu::CpuEngine;
 use tcgs_train::{Parameters, Preset, Run, TrainConfig, Trainer};
 
-/// Timesteps between two balls, and a ball's way from one timestep to the next.
+/// Timesteps between two balls, and a ball's displacement per timestep.
 const INTERVAL: usize = 12;
 const STEP: f32 = 0.3;
 const TRAINING: usize = 8;
@@ -30,7 +30,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         (config.schedule.first_iterations, config.schedule.rest_iterations) = (200, 80);
         config.data.end_frame = num_timesteps;
         config.deaths.patience = patience;
-        // Of a room that is known, nothing is cloned, split or pruned, and equal Gaussians give quantizers no room for others.
+        // The room is known, so nothing is cloned, split or pruned. Equal Gaussians give quantizers too narrow a range
+        // for others.
         config.quantize.enabled = false;
         (config.densify.start, config.mask.prune_end) = (10_000, 0);
         let run = match words.get(2) {
@@ -67,7 +68,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// The last is held out.
+/// The last one is held out.
 fn cameras() -> Vec<Camera> {
     [[-1.2, -0.6], [1.2, -0.5], [1.0, 0.5], [-1.0, 0.4], [0.0, -0.9], [0.1, 0.8], [-0.5, 0.0], [0.6, 0.1], [0.3, -0.3]]
         .map(|[x, y]| Camera::look_at([x, y, -4.0], [0.0, 0.0, 0.0], [0.0, -1.0, 0.0], 150.0, 160, 96))

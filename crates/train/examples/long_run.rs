@@ -1,9 +1,9 @@
-//! Writes a long run as training leaves it: `T` timesteps of `N` Gaussians, a share of which moves while the rest stands
-//! still to the bit. For measuring what long runs take on the disk, and what reads them.
+//! Writes a long run as training leaves it: `T` timesteps of `N` Gaussians. A share of these moves while the rest
+//! stands still to the bit. Measures the disk space of long runs, and the programs that read them.
 //!
 //! `cargo run --release -p tcgs-train --example long_run OUT [T=3000] [N=50000] [PERCENT=10] [whole]`
 //!
-//! With `whole` every checkpoint holds everything, as those of earlier versions do.
+//! With `whole` every checkpoint holds everything.
 
 use std::path::Path;
 use std::time::Instant;
@@ -52,7 +52,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// A room of Gaussians in eight bits, those in front of it foreground.
+/// A room of Gaussians quantised to eight bits; those in front of it are foreground.
 fn start(num_gaussians: usize, percent: usize) -> Result<Checkpoint, CompressError> {
     let mut random = Pcg64Mcg::seed_from_u64(0);
     let mut point = |size: f32| [(); 3].map(|()| size * (2.0 * random.random::<f32>() - 1.0));

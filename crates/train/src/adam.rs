@@ -1,4 +1,4 @@
-//! Adam (Kingma and Ba 2015) on flat arrays: what it remembers, and one update.
+//! Adam (Kingma and Ba 2015) on flat arrays: its moments, and one update.
 
 use rayon::prelude::*;
 
@@ -8,8 +8,8 @@ use crate::row::Row;
 pub(crate) const BETA1: f32 = 0.9;
 /// Decay of the second moments.
 pub(crate) const BETA2: f32 = 0.999;
-/// Added to the root of the second moment. Reference: far below any gradient, so that the step does not depend on the
-/// loss's scale.
+/// Adam's ε, added to the root of the second moment. Reference: far below any gradient, so that the step does not
+/// depend on the loss's scale.
 pub(crate) const EPSILON: f32 = 1e-15;
 /// Values that one task updates.
 const CHUNK: usize = 1 << 14;
@@ -59,7 +59,7 @@ impl Moments {
     }
 }
 
-/// What the update number `count` multiplies with: the step size `rate / (1 − β1ᵗ)`, and the correction of the second
+/// Adam's factors of update number `count`: the step size `rate / (1 − β1ᵗ)`, and the bias correction of the second
 /// moment's root, `1 / √(1 − β2ᵗ)`.
 ///
 /// - `rate`: learning rate

@@ -9,7 +9,7 @@ use crate::config::DensifyConfig;
 use crate::row::Row;
 use crate::state::{GradientStatistic, State};
 
-/// What one call of [`densify`] did.
+/// The result of one call of [`densify`].
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Densified {
     /// Number of small Gaussians of large gradient that were cloned.
@@ -41,9 +41,9 @@ fn largest_scale(log_scale: [f32; 3]) -> f32 {
     log_scale.into_iter().fold(f32::MIN, f32::max).exp()
 }
 
-/// One step of adaptive density control: clones small and splits large Gaussians whose mean NDC gradient reaches the
-/// threshold, removes Gaussians that are nearly transparent or too large, and resets the gradient statistic. If all
-/// Gaussians would be removed, none is. Kerbl et al. 2023, §5.2.
+/// One step of adaptive density control. Clones small and splits large Gaussians whose mean NDC gradient reaches the
+/// threshold, removes nearly transparent and too large Gaussians, and resets the gradient statistic. If all Gaussians
+/// would be removed, none is. Kerbl et al. 2023, §5.2.
 pub fn densify(state: &mut State, step: &DensifyStep<'_>) -> Densified {
     let c = step.config;
     let statistic = &state.statistic;
@@ -71,7 +71,7 @@ pub fn densify(state: &mut State, step: &DensifyStep<'_>) -> Densified {
     let mut random = Pcg64Mcg::seed_from_u64(step.seed);
     for i in first_child..rows.len() {
         let quat = gaussians.quats()[i];
-        // Quantised rotations are of unit length already; to normalise them again would change their last bits.
+        // Quantised rotations already have unit length; normalising them again would change their last bits.
         let rotmat = rotmat_from_unit_quat(if state.quantizers.is_some() { quat } else { normalize(quat) });
         let local: [f32; 3] = std::array::from_fn(|d| gaussians.log_scales()[i][d].exp() * normal(&mut random));
         for (d, row) in rotmat.iter().enumerate() {

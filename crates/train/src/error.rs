@@ -49,7 +49,7 @@ pub enum TrainError {
     File {
         /// The file.
         path: PathBuf,
-        /// What was found, and what was expected.
+        /// The problem, with the finding and the expectation.
         problem: String,
     },
     /// A file of a run folder cannot be read. The cause is part of the message, not a source beside it.

@@ -10,14 +10,14 @@ use tcgs_core::{Attribute, Column, GaussianGrads, Gaussians, Layout};
 use crate::adam::Moments;
 use crate::config::{BitMapKind, TrainConfig};
 
-/// A quantizer's step never falls below this share of where it started.
+/// Smallest share of its initial value to which a quantizer's step may fall.
 pub(crate) const MIN_STEP_SHARE: f32 = 0.1;
 
 /// Gaussians that one task handles; fixed, so that sums over them are.
 const CHUNK: usize = 1 << 12;
 
-/// A group of fewer Gaussians takes its first quantizers from the values of all: its own say too little
-/// of where they will move, and the range of a single value would hold that value for good.
+/// A group of fewer Gaussians than this takes its first quantizers from the values of all Gaussians. Its own values do
+/// not show where they will move, and the range of a single value would pin that value for good.
 const MIN_FITTED: usize = 32;
 
 /// Quantises and dequantises one value: the value that a decoder will read from the file.
@@ -72,8 +72,8 @@ pub fn bit_settings(config: &TrainConfig) -> BitSettings {
     }
 }
 
-/// The columns that are quantised while training. Positions are quantised afterwards, and so are harmonics: compression
-/// decides who keeps which band and with how many bits, and rounding here would make bands that are zero differ from it.
+/// The columns that are quantised during training. Positions and harmonics are quantised by compression. It decides on
+/// the bands of each Gaussian and their bit widths, so rounding here would move zero bands away from zero.
 pub(crate) fn quantized(layout: &Layout) -> impl Iterator<Item = Attribute> {
     let harmonics = layout.harmonics();
     let is_quantized = move |column: &&Column| column.quantized && !harmonics.contains(&column.attribute);
@@ -93,8 +93,8 @@ pub struct FakeQuantizers {
     pub initial_steps: Vec<f32>,
     /// Whether offsets are learned.
     pub learned_offset: bool,
-    /// By column: width of those that are born, the largest that any Gaussian of the first timestep has. Nobody knows how much
-    /// their parameters matter.
+    /// `[columns]` bit width of Gaussians that are born: the largest of any Gaussian of the first timestep. The
+    /// sensitivity of their parameters is unknown.
     pub(crate) newborn_widths: Vec<u8>,
     /// By attribute and width: position of the first channel in `quantizers`.
     first: Vec<[u16; 17]>,
@@ -163,7 +163,7 @@ impl FakeQuantizers {
             gradient_scales.extend(vec![step_gradient_scale(width, count * components); components]);
         }
         assert_eq!([quantizers.len(), initial_steps.len()], [gradient_scales.len(); 2], "quantizers against groups");
-        // Without a Gaussian there are no widths, and any will do.
+        // Without Gaussians there are no widths, and any width will do.
         let largest = |widths: &Vec<u8>| widths.iter().copied().max().unwrap_or(16);
         let newborn_widths = bit_map.widths.iter().map(largest).collect();
         Self { bit_map, groups, quantizers, initial_steps, learned_offset, newborn_widths, first, gradient_scales }
@@ -187,9 +187,9 @@ impl FakeQuantizers {
         self.set_bit_map(self.bit_map.select(indices));
     }
 
-    /// The bit map with further Gaussians at its end, which were born: they have the largest widths of the first timestep.
+    /// The bit map extended by Gaussians that were born; they have the largest widths of the first timestep.
     ///
-    /// - `num_gaussians`: how many it then has, no fewer than now
+    /// - `num_gaussians`: its new number of Gaussians, no smaller than the current one
     pub fn bit_map_of(&self, num_gaussians: usize) -> BitMap {
         let mut bit_map = self.bit_map.clone();
         for (widths, &largest) in bit_map.widths.iter_mut().zip(&self.newborn_widths) {
@@ -198,7 +198,7 @@ impl FakeQuantizers {
         bit_map
     }
 
-    /// The same quantizers for so many more Gaussians, of the widths that [`Self::bit_map_of`] gives them.
+    /// Extends the quantizers to `count` more Gaussians, with the widths of [`Self::bit_map_of`].
     pub fn append(&mut self, count: usize) {
         self.set_bit_map(self.bit_map_of(self.bit_map.num_gaussians() + count));
     }
@@ -262,8 +262,8 @@ impl FakeQuantizers {
         (scaled(v_steps), scaled(v_offsets))
     }
 
-    /// One Adam step on steps and offsets, each at `rate` times its initial step. A step never falls
-    /// below a tenth of where it started.
+    /// One Adam step on steps and offsets, each at `rate` times its initial step. A step never falls below a tenth of
+    /// its initial value.
     ///
     /// - `v_steps`, `v_offsets`: `[quantizers]`, as [`Self::backward`] returns them
     pub fn update(
@@ -336,7 +336,8 @@ fn backward_rows(
 mod tests {
     use super::*;
 
-    /// Central differences of what straight-through differentiates: the value with the error of its rounding held.
+    /// Central differences of the function that straight-through differentiates: the value with its rounding error
+    /// held.
     #[test]
     fn gradients_are_those_of_the_value_with_its_rounding_held() {
         let (step, offset) = (0.3, 0.1);
@@ -373,7 +374,7 @@ mod tests {
         let widths = |attribute: Attribute| &quantizers.bit_map.widths[attribute.index()];
         assert_eq!(widths(Attribute::LogScale), &[4, 4, 8, 8]);
         assert_eq!((widths(Attribute::Color), widths(Attribute::Mean)), (&vec![4; 4], &vec![16; 4]));
-        // As from the first ones and all identities.
+        // As from the initial quantizers and all identities.
         let first = FakeQuantizers::new(bit_map, &Gaussians::zeros(3), true).unwrap();
         assert_eq!(quantizers.bit_map, first.bit_map_of(5).select(&[0, 2, 3, 4]));
     }

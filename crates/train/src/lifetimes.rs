@@ -1,19 +1,18 @@
 //! Identity and lifetime of each Gaussian, as columns of integers.
 //!
-//! An identity is a Gaussian's number in the order of births, and is not given twice. A checkpoint holds the rows of
-//! the Gaussians that live, and the births and deaths of all that ever lived; [`Lives::living`] says who stands in
-//! which row.
+//! An identity is a Gaussian's number in the order of births, and is never reused. A checkpoint holds the rows of the
+//! Gaussians that live, and the births and deaths of all that ever lived. [`Lives::living`] maps rows to identities.
 
 use crate::row::Row;
 
 /// Birth and death of every Gaussian that a run ever had, by identity.
 ///
-/// What the first timestep leaves was born at 0. Identities count up in the order of births.
+/// Gaussians of the first timestep were born at 0. Identities count up in the order of births.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Lives {
     /// `[identities]` first timestep at which it lives.
     pub births: Vec<u32>,
-    /// `[identities]` first timestep at which it lives no more; [`Self::NEVER`] of one that has not died.
+    /// `[identities]` first timestep at which it no longer lives; [`Self::NEVER`] if it has not died.
     pub deaths: Vec<u32>,
 }
 
@@ -53,7 +52,7 @@ impl Lives {
 /// Between timesteps rows stand in the order of identities, and thereby of births.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Lifetimes {
-    /// `[N]` an identity that stays while rows are reordered and removed, and is not given twice.
+    /// `[N]` an identity that survives reordering and removal of rows and is never reused.
     pub ids: Vec<u32>,
     /// By identity, those of the dead too.
     pub lives: Lives,
@@ -94,13 +93,13 @@ impl Lifetimes {
         }
     }
 
-    /// - `timestep`: at which what is new is born
+    /// - `timestep`: birth of new Gaussians
     pub(crate) fn gather(&mut self, rows: &[Row], timestep: u32) {
         let ids = std::mem::take(&mut self.ids);
         self.ids = rows.iter().map(|row| row.kept().map_or_else(|| self.lives.push(timestep), |i| ids[i])).collect();
     }
 
-    /// Writes down that some rows die at a timestep; they are still to be removed.
+    /// Records that some rows die at a timestep; the caller then removes them.
     pub(crate) fn end(&mut self, rows: &[usize], timestep: u32) {
         rows.iter().for_each(|&row| self.lives.deaths[self.ids[row] as usize] = timestep);
     }
@@ -118,7 +117,7 @@ mod tests {
         assert_eq!((&lifetimes.births()[..], lifetimes.num_first()), (&[0, 0, 0, 5][..], 3));
         lifetimes.end(&[0, 3], 7);
         lifetimes.gather(&[Row::Kept(1), Row::Kept(2)], 7);
-        // The last one is gone, and its number is not used again.
+        // The last one is gone, and its identity is not reused.
         lifetimes.append(1, 8);
         assert_eq!((&lifetimes.ids[..], &lifetimes.births()[..]), (&[1, 2, 4][..], &[0, 0, 8][..]));
         let living = [4, 5, 6, 7, 8].map(|timestep| lifetimes.lives.living(timestep));

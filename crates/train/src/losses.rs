@@ -1,8 +1,8 @@
-//! The table of losses: what the settings, both engines and the reports know of each.
+//! The table of losses: the common source of settings, both engines and reports.
 //!
 //! A line of the table gives a loss its name, which is that of its weight in `config.toml`, and the weight of the
-//! reference. From the table come [`WeightConfig`], [`LossTerms`], the weights in the shaders' uniform and the places of
-//! the values that a device reports. Where a loss is computed stands with the engines.
+//! reference. The table generates [`WeightConfig`], [`LossTerms`], the weights in the shaders' uniform and the
+//! positions of the values that a device reports. The engines compute the losses.
 
 use serde::{Deserialize, Serialize};
 
@@ -87,17 +87,18 @@ losses! {
     Segmentation segmentation = 3.0;
     /// Local rigidity: `mean sqrt(w ‖Rᵢᵀ(x_k − x_i) − previous offset‖²)`. Weight 4 (reference); default 2.
     Rigid rigid = 4.0;
-    /// Rotation similarity of neighbours: `mean sqrt(w ‖relative rotation of k − of i‖²)`. Weight 4 (reference); default 2.
+    /// Rotation similarity of neighbours: `mean sqrt(w ‖relative rotation of k − of i‖²)`. Weight 4 (reference);
+    /// default 2.
     Rot rot = 4.0;
     /// Distances of neighbours: `mean sqrt(w (‖x_k − x_i‖ − first distance)²)`. Weight 2 (reference); default 1.
     Iso iso = 2.0;
-    /// Foreground below the floor: `mean max(y, 0)`; y points down, the floor is `y = 0`. Weight 2 (reference); default 1.
+    /// Foreground below the floor: `mean max(y, 0)`; y points down, floor at `y = 0`. Weight 2 (reference); default 1.
     Floor floor = 2.0;
     /// Background that moves: `mean ‖x − first x‖₁ + mean ‖q − first q‖₁`. Weight 20 (reference); default 10.
     Background background = 20.0;
-    /// Motion of what the images do not show to change: `mean s (‖x − previous x‖₁ + ‖q − previous q‖₁)`, where `s` is the share
-    /// of a Gaussian's blending weight on what has not changed. Known under a gate only. Weight 0 (neither reference nor paper has
-    /// it); 0.5 for captures that do not say what moves.
+    /// Motion of Gaussians that the images show to be still: `mean s (‖x − previous x‖₁ + ‖q − previous q‖₁)`. `s` is
+    /// the share of a Gaussian's blending weight on unchanged content, known under a gate only. Weight 0 (neither
+    /// reference nor paper has it); 0.5 for captures without masks.
     Stillness stillness = 0.0;
     /// Colours that change with time: `mean ‖colour − previous colour‖₁`. Weight 0.01 (reference, where a bug makes it
     /// inactive); default 0.005.

@@ -79,16 +79,16 @@ pub fn masked_out(mask_logits: &[f32], threshold: f32) -> Vec<bool> {
     mask_logits.iter().map(|&m| mask(m, threshold) == 0.0).collect()
 }
 
-/// Mean over time of each Gaussian's mask value `σ(m_{n,t})`, paper Eq. 6: from its birth to the end, and after its death with
-/// the value that it died with.
+/// Mean over time of each Gaussian's mask value `σ(m_{n,t})`, paper Eq. 6. The mean runs from its birth to the last
+/// timestep; after its death its last value counts.
 ///
-/// - `mask_logits`: of every timestep those of the Gaussians that live; taken one after another, so that none but the last
+/// - `mask_logits`: for every timestep those of the Gaussians that live; taken one after another, so that only the last
 ///   has to be in memory
-/// - `lives`: who lives when; none if all `N` do at all timesteps
-/// - returns: `[N]`, in (0, 1); 0 of one that is not born yet
+/// - `lives`: the lifetimes; none if all `N` live at all timesteps
+/// - returns: `[N]`, in (0, 1); 0 for a Gaussian that is not born yet
 ///
 /// # Panics
-/// If a timestep has another number of Gaussians than live then.
+/// If a timestep has a different number of Gaussians than live then.
 ///
 /// ```
 /// assert_eq!(tcgs_train::mean_masks([vec![0.0, 40.0], vec![0.0, 40.0]], None), [0.5, 1.0]);

@@ -52,14 +52,14 @@ pub struct Past {
     pub previous: Gaussians,
     /// `[N]` mask logits of the timestep before, where masks are on.
     pub previous_mask_logits: Option<Vec<f32>>,
-    /// `[N]` how little the images of this timestep show each Gaussian to change, 0 to 1; empty where nothing is known of it.
+    /// `[N]` how still the images of this timestep show each Gaussian to be, 0 to 1; empty if unknown.
     pub stillness: Vec<f32>,
 }
 
 impl Past {
     /// The past of Gaussians whose first timestep is finished.
     ///
-    /// - `first`: as the first timestep left everything
+    /// - `first`: poses at the end of the first timestep
     /// - `previous`: see [`Self::previous`]
     /// - `is_foreground`: `[N]`
     pub fn new(first: Pose, previous: Gaussians, is_foreground: &[bool]) -> Self {
@@ -67,14 +67,14 @@ impl Past {
         Self { first: Arc::new(first), neighbors, previous, previous_mask_logits: None, stillness: Vec::new() }
     }
 
-    /// Rows taken from `indices`; neighbours are found anew among those of them that were born together.
+    /// Rows taken from `indices`. Neighbours are found again among the rows that were born together.
     ///
     /// - `is_foreground`, `births`: of the rows taken
     pub(crate) fn gather(&mut self, indices: &[usize], is_foreground: &[bool], births: &[u32]) {
         *self = self.select(indices, |first| Neighbors::among(&first.means, is_foreground, births));
     }
 
-    /// Adds Gaussians that were born together: they have stood where they were born.
+    /// Adds Gaussians that were born together; each has stood at its place of birth so far.
     ///
     /// - `first`: their poses at birth
     /// - `previous`: as [`Self::previous`]
@@ -87,7 +87,7 @@ impl Past {
         self.previous = Gaussians::concat(&layout, &[std::mem::take(&mut self.previous), previous.clone()]);
     }
 
-    /// The past of the rows at `indices`, of whose stillness nothing is known.
+    /// The past of the rows at `indices`, with unknown stillness.
     ///
     /// - `neighbors`: finds neighbours among these rows, by their poses at the first timestep
     pub(crate) fn select(&self, indices: &[usize], neighbors: impl FnOnce(&Pose) -> Neighbors<f32>) -> Self {

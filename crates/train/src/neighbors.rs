@@ -1,5 +1,5 @@
-//! Which Gaussians the losses on motion hold together: neighbours of the foreground, found once after the first
-//! timestep. Gaussians that are born later are neighbours of those born with them. After deaths neighbours are found
+//! The graph of neighbours that the losses on motion hold together: neighbours of the foreground, found once after the
+//! first timestep. Gaussians born later are neighbours of those born with them. After deaths, neighbours are found
 //! again.
 
 use std::cmp::Ordering;
@@ -13,24 +13,25 @@ use crate::parameters::nearest;
 pub const NUM_NEIGHBORS: usize = 20;
 /// A neighbour at distance `d` has the weight `exp(−NEIGHBOR_FALLOFF d²)`; per squared scene unit. Reference: 2000.
 pub const NEIGHBOR_FALLOFF: f32 = 2000.0;
-/// Links that are worked on side by side: a node's list is padded to a multiple of this.
+/// Links that are processed side by side: a node's list is padded to a multiple of this.
 pub(crate) const LANES: usize = 8;
 /// A link stands for an edge that leaves the list's node.
 pub(crate) const LEAVES: u32 = 1 << 31;
 /// A link stands for an edge that arrives at the list's node.
 pub(crate) const ARRIVES: u32 = 1 << 30;
 
-/// The graph of nearest neighbours among the foreground Gaussians at the first timestep, or at the one at which they were born
-/// together: `F` nodes with `per_node` edges each.
+/// The graph of nearest neighbours among the foreground Gaussians: `F` nodes with `per_node` edges each. Positions are
+/// those at the first timestep, or at the timestep at which the Gaussians were born together.
 ///
-/// Every node also has a list of the nodes that share an edge with it, whichever way the edge runs. So a node finds all
-/// of its gradient in one walk, and nothing is written for a far end. Where two nodes are each other's neighbours, which
-/// most are, one link stands for both edges.
+/// Every node also has a list of the nodes that share an edge with it, whichever way the edge runs. A node therefore
+/// finds its whole gradient in one walk and writes nothing for a far end. Two nodes that are each other's neighbours,
+/// as most are, share one link for both edges.
 #[derive(Clone, Debug)]
 pub struct Neighbors<R> {
     /// `[F]` indices of the foreground Gaussians, ascending.
     pub foreground: Vec<u32>,
-    /// Number of edges of each node: [`NUM_NEIGHBORS`], or where fewer were born together, one less than the most that were.
+    /// Edges per node: [`NUM_NEIGHBORS`], or one less than the size of the largest group born together if that is
+    /// smaller.
     pub per_node: usize,
     /// `[F, per_node]`, the neighbours of each node, as positions in `foreground`.
     pub indices: Vec<u32>,
@@ -105,7 +106,7 @@ impl Neighbors<f32> {
     /// Finds the neighbours among those of the foreground that were born together.
     ///
     /// - `means`, `is_foreground`: as for [`Self::new`]
-    /// - `births`: `[N]` timesteps of birth; those born together stand together
+    /// - `births`: `[N]` timesteps of birth; Gaussians born together are adjacent
     pub(crate) fn among(means: &[[f32; 3]], is_foreground: &[bool], births: &[u32]) -> Self {
         let mut neighbors = Self::new(&[], &[]);
         let mut begin = 0;
@@ -117,8 +118,8 @@ impl Neighbors<f32> {
         neighbors
     }
 
-    /// Adds the neighbours of Gaussians that were born together, among themselves. Every node has as many edges as the next:
-    /// where those born together are too few, edges of weight 0 from a node to itself fill its list.
+    /// Adds the neighbours of Gaussians that were born together, among themselves. All nodes have the same number of
+    /// edges: if too few were born together, edges of weight 0 from a node to itself fill its list.
     ///
     /// - `means`: `[M, 3]` at their first timestep, finite, scene units
     /// - `is_foreground`: `[M]`
@@ -151,7 +152,7 @@ impl Neighbors<f32> {
 }
 
 impl<R: Real> Neighbors<R> {
-    /// From edges found elsewhere; the fields say what each argument is.
+    /// Builds the graph from edges found elsewhere; the fields describe the arguments.
     ///
     /// # Panics
     /// If `foreground` is not ascending, `indices` is not `[foreground, per_node]`, or one of them is no position in
@@ -192,7 +193,7 @@ impl<R: Real> Neighbors<R> {
                 let arriving = incoming[incoming_starts[i] as usize..incoming_starts[i + 1] as usize]
                     .iter()
                     .map(|&edge| link(edge / per_node as u32, ARRIVES, edge as usize));
-                // An edge from a node to itself moves nothing.
+                // An edge from a node to itself has no effect.
                 let others = leaving.chain(arriving).filter(|link| link.other != i as u32);
                 let links = merged(others.collect());
                 links.chunks(LANES).map(|links| LinkBlock::new(i as u32, links)).collect()
@@ -261,7 +262,7 @@ mod tests {
 
     #[test]
     fn few_that_are_left_of_those_born_together_do_not_cut_the_neighbours_of_others() {
-        // Of the first timestep one is left, or three; then four are born, then two.
+        // One Gaussian of the first timestep is left, or three; then four are born, then two.
         let means: Vec<[f32; 3]> = (0..9).map(|i| [0.001 * (i * i) as f32, 0.0, 0.0]).collect();
         let found = Neighbors::among(&means[2..], &[true; 7], &[0, 4, 4, 4, 4, 6, 6]);
         assert_eq!(found.per_node, 3);
@@ -273,7 +274,7 @@ mod tests {
         let first = [vec![1, 2], vec![0, 2], vec![1, 0]];
         let then = [vec![4, 5, 6], vec![3, 5, 6], vec![4, 6, 3], vec![5, 4, 3], vec![8], vec![7]];
         assert_eq!(ends(&found), [&first[..], &then].concat());
-        // Who has no foreground beside it has no part.
+        // A Gaussian without foreground beside it takes no part.
         let mut is_foreground = [true; 9];
         is_foreground[..3].fill(false);
         let found = Neighbors::among(&means, &is_foreground, &[0, 0, 0, 4, 4, 4, 4, 6, 6]);

@@ -14,15 +14,15 @@ pub struct Parameters {
     pub gaussians: Gaussians,
     /// `[N]`, mask logits `m_{n,t}`; at their initial value if masks are off.
     pub mask_logits: Vec<f32>,
-    /// `[N]` whether the Gaussian belongs to what moves. Not learned.
+    /// `[N]` whether the Gaussian belongs to the moving foreground. Not learned.
     pub foreground: Vec<bool>,
-    /// `[cameras, 3]` logarithms of the gains by which a camera's colours differ.
+    /// `[cameras, 3]` logarithms of the cameras' colour gains.
     pub camera_gains: Vec<[f32; 3]>,
-    /// `[cameras, 3]` offsets by which a camera's colours differ.
+    /// `[cameras, 3]` the cameras' colour offsets.
     pub camera_offsets: Vec<[f32; 3]>,
 }
 
-/// Smallest mean squared distance that an initial scale is taken from.
+/// Smallest mean squared distance from which an initial scale is taken.
 const MIN_SQUARED_DISTANCE: f32 = 1e-7;
 
 impl Parameters {
@@ -66,7 +66,8 @@ impl Parameters {
         self.gaussians.num_gaussians()
     }
 
-    /// A rendered picture in a training camera's colours, which differ by its gain and its offset. Outside of `[0, 1]` they stay.
+    /// A rendered picture in a training camera's colours, which differ by its gain and its offset. Values outside of
+    /// `[0, 1]` are not clamped.
     ///
     /// - `camera`: index among the training cameras
     pub fn seen_by_camera(&self, camera: usize, picture: Image) -> Image {
@@ -78,7 +79,7 @@ impl Parameters {
         self.camera_gains.iter().zip(&self.camera_offsets).map(|(&gain, &offset)| [gain, offset]).collect()
     }
 
-    /// Appends the Gaussians of others; cameras stay as they are.
+    /// Appends the Gaussians of others; cameras are unchanged.
     pub(crate) fn append(&mut self, others: &Self) {
         let layout = Arc::clone(self.gaussians.layout());
         self.gaussians = Gaussians::concat(&layout, &[std::mem::take(&mut self.gaussians), others.gaussians.clone()]);
@@ -86,7 +87,7 @@ impl Parameters {
         self.foreground.extend_from_slice(&others.foreground);
     }
 
-    /// Overwrites the Gaussians at `indices` by the first ones of `others`, in that order; cameras stay as they are.
+    /// Overwrites the Gaussians at `indices` by the first ones of `others`, in that order; cameras are unchanged.
     pub(crate) fn put(&mut self, indices: &[usize], others: &Self) {
         for column in Arc::clone(self.gaussians.layout()).columns() {
             let (a, components) = (column.attribute, column.components());
@@ -95,7 +96,7 @@ impl Parameters {
         scatter(indices, &others.mask_logits, &mut self.mask_logits, 1);
     }
 
-    /// The Gaussians at `indices`, in that order, repeated where an index is; cameras as they are.
+    /// The Gaussians at `indices`, in that order, with repetitions; cameras are unchanged.
     pub fn select(&self, indices: &[usize]) -> Self {
         Self {
             gaussians: self.gaussians.select(indices),
@@ -131,7 +132,7 @@ pub(crate) fn nearest(points: &[[f32; 3]], count: usize) -> Vec<Vec<(u32, f32)>>
             let found = tree.query(point).nearest_n::<SquaredEuclidean<f32>>(wanted).execute();
             let mut others: Vec<(u32, f32)> =
                 found.iter().filter(|f| f.item as usize != i).map(|f| (f.item, f.distance)).collect();
-            // Among points at one place the query may not return the point itself.
+            // Among coincident points the query may not return the point itself.
             others.truncate(wanted.get() - 1);
             others
         })
@@ -150,7 +151,7 @@ pub(crate) fn corrected(mut picture: Image, [gain, offset]: [[f32; 3]; 2]) -> Im
 /// Extent of a scene: 1.1 times the largest distance of a camera's centre from the mean of all centres.
 ///
 /// - `cameras`: of the first timestep, used for training
-/// - returns: scene units; 0 of a single camera
+/// - returns: scene units; 0 for a single camera
 ///
 /// Luiten et al. 2024, `initialize_params` of the released code.
 pub fn scene_radius(cameras: &[Camera]) -> f32 {
@@ -160,7 +161,7 @@ pub fn scene_radius(cameras: &[Camera]) -> f32 {
     (1.1 * centers.iter().map(distance).fold(0.0, f64::max)) as f32
 }
 
-/// The scene's radius by its cameras; where these are at one place and say nothing of it, by the distance of points.
+/// The scene's radius by its cameras. If they are all at one place, the distance of points decides.
 ///
 /// - `cameras`: at least one
 /// - returns: scene units

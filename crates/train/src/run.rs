@@ -3,9 +3,9 @@
 //! | file | content |
 //! |---|---|
 //! | `config.toml` | the settings |
-//! | `checkpoints/000041.npz` | of each timestep, what differs from the timestep before |
-//! | `resume0.npz`, `resume1.npz` | of the last even and the last odd timestep, what only the next timestep starts from: the optimizer's state |
-//! | `start.npz` | of a run that continues another one, the state that it began from, as a checkpoint with everything |
+//! | `checkpoints/000041.npz` | the changes of each timestep from the timestep before |
+//! | `resume0.npz`, `resume1.npz` | the optimizer's state after the last even and the last odd timestep, for resuming |
+//! | `start.npz` | a complete checkpoint: the initial state of a run that continues another one |
 //! | `metrics.jsonl` | a JSON object for each timestep |
 //!
 //! What does not live here: the content of a checkpoint (`checkpoint`).
@@ -42,19 +42,19 @@ const CHECKPOINTS: &str = "checkpoints";
 pub struct Run {
     folder: PathBuf,
     config: TrainConfig,
-    /// Where reading and writing of checkpoints go on.
+    /// The state of reading and writing checkpoints.
     chain: Arc<Mutex<Chain>>,
 }
 
 /// The result of a run: the finished timesteps of all checkpoints together.
 #[derive(Clone, Debug)]
 pub struct TrainedScene {
-    /// `[T, N]`, the Gaussians of every finished timestep in stored form, neither quantised nor pruned; one that does not live
-    /// at a timestep is there as it was born or died ([`StandIns`]).
+    /// `[T, N]`, the Gaussians of every finished timestep in stored form, neither quantised nor pruned. A Gaussian that
+    /// does not live at a timestep stands there as it was born or died ([`StandIns`]).
     pub scene: DynamicGaussians,
-    /// When each lives; none if all do at all timesteps.
+    /// Lifetimes; none if all Gaussians live at all timesteps.
     pub lives: Option<Lives>,
-    /// `[T][N]`, mask logits `m_{n,t}` of those that live; without meaning if the run did not learn masks.
+    /// `[T][N]`, mask logits `m_{n,t}` of the Gaussians that live; meaningless if the run did not learn masks.
     pub mask_logits: Vec<Vec<f32>>,
     /// `[N]`, whether each Gaussian belongs to the foreground.
     pub foreground: Vec<bool>,
@@ -102,9 +102,9 @@ impl Run {
     pub fn open(folder: &Path) -> Result<Self, TrainError> {
         let path = folder.join(CONFIG);
         let text = read_text(&path, TrainConfig::MAX_BYTES).map_err(read(&path))?;
-        // `mask.relative` is no setting any more. Switched off it changed nothing.
+        // `mask.relative` is not a setting; `false` has no effect.
         let text = text.replace("relative = false\n", "");
-        // An older run goes on without what its program did not have.
+        // Settings that a `config.toml` lacks are off, so that such a run goes on as it began.
         let (gate, births, deaths) = (GateConfig::OFF, BirthConfig::OFF, DeathConfig::OFF);
         let render = RenderConfig { antialiased: false };
         let mut base = TrainConfig { gate, births, deaths, render, ..TrainConfig::default() };
@@ -141,7 +141,7 @@ impl Run {
     }
 
     fn chain(&self) -> MutexGuard<'_, Chain> {
-        // What a panic elsewhere leaves is what was read last, or nothing.
+        // A panic elsewhere leaves the last timestep read, or nothing.
         self.chain.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -150,8 +150,8 @@ impl Run {
         self.chain().path(timestep)
     }
 
-    /// Path of what is needed to resume after a timestep besides its checkpoint. Each timestep overwrites that of the
-    /// timestep before the last.
+    /// Path of the state that resuming after a timestep needs besides its checkpoint. Each timestep overwrites the file
+    /// of the last but one.
     pub fn resume_path(&self, timestep: usize) -> PathBuf {
         self.folder.join(resume_name(timestep))
     }
@@ -162,13 +162,13 @@ impl Run {
         (0..).take_while(|&t| chain.path(t).is_file()).count()
     }
 
-    /// Writes the checkpoint of a timestep: what differs to the bit from the timestep before, and everything at every
-    /// 40th timestep. Before it, the state that the next timestep starts from; so at any moment the run can be resumed
-    /// after the last checkpoint that is there. Each file is written atomically.
+    /// Writes the checkpoint of a timestep: the rows that differ in a bit from the timestep before, and everything at
+    /// every 40th timestep. Before it, writes the state from which the next timestep starts, so that the run can be
+    /// resumed after the last checkpoint at any moment. Each file is written atomically.
     ///
     /// # Errors
-    /// [`TrainError::Write`] if a file cannot be written; no partial file remains. [`TrainError::File`] if the checkpoint
-    /// of the timestep before is damaged.
+    /// [`TrainError::Write`] if a file cannot be written; no partial file remains. [`TrainError::File`] if the
+    /// checkpoint of the timestep before is damaged.
     pub fn save(&self, timestep: usize, checkpoint: &Checkpoint) -> Result<(), TrainError> {
         let (mut scene, mut resuming) = ((Vec::new(), Arrays::new()), (Vec::new(), Arrays::new()));
         for (name, used_for, array) in checkpoint.arrays(timestep == 0) {
@@ -180,8 +180,8 @@ impl Run {
         self.chain().write(timestep, &scene.0, scene.1)
     }
 
-    /// Writes the state that a run begins from which continues another one. To be done before [`Self::create`], so that
-    /// what has a `config.toml` has its start.
+    /// Writes the initial state of a run that continues another one. Call it before [`Self::create`], so that every
+    /// folder with a `config.toml` has its start.
     ///
     /// - `folder`: of the run, made if it is not there
     ///
@@ -239,8 +239,8 @@ impl Run {
         }))
     }
 
-    /// Whether what a run goes on from is of one run: of those that it begins with none has died, and who lives at the last
-    /// timestep and was born before was there at the one before.
+    /// Whether the checkpoints that resuming needs are of one run. No Gaussian of the first one has died. Every
+    /// Gaussian of the last one that was born before the last timestep is in the one before.
     fn check_one_run(
         &self,
         start: Option<&Checkpoint>,
@@ -270,11 +270,11 @@ impl Run {
         Ok(())
     }
 
-    /// Reads the checkpoint of one finished timestep. Reading timesteps in their order reads each file once; reading any
+    /// Reads the checkpoint of one finished timestep. Reading timesteps in order reads each file once; reading any one
     /// reads at most the 40 files before it.
     ///
-    /// - `first`: the checkpoint of timestep 0, which holds what does not vary; none to read that one itself
-    /// - returns: the checkpoint; all zero is the optimizer's state, for which see [`Self::resumable`]
+    /// - `first`: the checkpoint of timestep 0, with the columns that do not vary; none to read that one itself
+    /// - returns: the checkpoint, with an all-zero optimizer's state; see [`Self::resumable`]
     ///
     /// # Errors
     /// [`TrainError::File`] if there is no such checkpoint, or it or one that it continues is damaged.
@@ -300,10 +300,11 @@ impl Run {
     /// - `first`: see [`Self::checkpoint`]
     ///
     /// # Errors
-    /// As [`Self::checkpoint`]; [`TrainError::File`] if the run no longer has the optimizer's state after that timestep.
+    /// As [`Self::checkpoint`]; [`TrainError::File`] if the run no longer has the optimizer's state after that
+    /// timestep.
     pub fn resumable(&self, timestep: usize, first: Option<&Checkpoint>) -> Result<Checkpoint, TrainError> {
         let mut arrays = self.chain().read(timestep)?;
-        // Earlier versions had it in the checkpoint.
+        // A checkpoint without a separate resume file holds the optimizer's state itself.
         if !Checkpoint::can_resume_from(&arrays) {
             arrays.extend(read_single(&self.resume_path(timestep), timestep)?);
         }
@@ -315,10 +316,10 @@ impl Run {
         self.decode(timestep, &arrays, first)
     }
 
-    /// The lives of all Gaussians up to the last of some timesteps that can be read; none if all were there at first and have
-    /// not died. Reads nothing else of the checkpoints.
+    /// The lives of all Gaussians up to the last readable one of some timesteps. None if all Gaussians were there at
+    /// first and have not died. Reads nothing else of the checkpoints.
     ///
-    /// - `num_timesteps`: the first of the finished ones: a run that goes on has more by the time it is read
+    /// - `num_timesteps`: number of timesteps, from the first on; a run under way may finish more while it is read
     ///
     /// # Errors
     /// As [`Self::checkpoint`].
@@ -326,14 +327,14 @@ impl Run {
         Ok(self.last_lives(num_timesteps)?.1)
     }
 
-    /// The last of some timesteps that can be read, with what [`Self::lives`] returns.
+    /// The last readable one of some timesteps, with the result of [`Self::lives`].
     fn last_lives(&self, num_timesteps: usize) -> Result<(usize, Option<Lives>), TrainError> {
         let mut chain = Chain::of(&self.folder.join(CHECKPOINTS), &LIVES);
         let mut lives_at = |timestep: usize| {
             let lives = Checkpoint::lives_of(&chain.read(timestep)?);
             lives.map_err(|problem| TrainError::File { path: chain.path(timestep), problem })
         };
-        // A damaged checkpoint is no reason not to read those before it.
+        // A damaged checkpoint must not prevent reading those before it.
         let mut found = Ok((0, None));
         for timestep in (0..num_timesteps).rev() {
             found = lives_at(timestep).map(|lives| (timestep, lives));
@@ -344,10 +345,10 @@ impl Run {
         found
     }
 
-    /// As [`Self::parameters`], checked to be of those that live.
+    /// As [`Self::parameters`], checked against the number of Gaussians that live.
     ///
     /// - `first`: the checkpoint of timestep 0
-    /// - `lives`: as [`Self::lives`] gives them
+    /// - `lives`: as returned by [`Self::lives`]
     ///
     /// # Errors
     /// As there; [`TrainError::File`] if the checkpoint has another number of Gaussians.
@@ -364,7 +365,7 @@ impl Run {
         Err(TrainError::File { path: self.checkpoint_path(timestep), problem })
     }
 
-    /// What stands in for the Gaussians of the run at the timesteps at which they do not live.
+    /// The stand-ins for the Gaussians of the run at timesteps at which they do not live.
     ///
     /// - `first`: see [`Self::checkpoint`]
     /// - `num_timesteps`: see [`Self::lives`]
@@ -378,11 +379,11 @@ impl Run {
         StandIns::gather(lives, layout, last, at)
     }
 
-    /// The mask logits of timesteps in their order, `[N]` each: of those that live then. Reads nothing else of the
+    /// The mask logits of the Gaussians that live, timestep by timestep, `[N]` each. Reads nothing else of the
     /// checkpoints.
     ///
     /// - `num_timesteps`: see [`Self::lives`]
-    /// - `first`, `lives`: as [`Self::checkpoint`] and [`Self::lives`] give them
+    /// - `first`, `lives`: as returned by [`Self::checkpoint`] and [`Self::lives`]
     ///
     /// # Errors
     /// Each as [`Self::checkpoint`]; [`TrainError::File`] if there are not as many as live.
@@ -458,13 +459,13 @@ impl Run {
         })
     }
 
-    /// The JSON objects in `metrics.jsonl`, one per timestep. Each is read when it is asked for: with their curves of
-    /// losses those of a long run take a lot of memory.
+    /// The JSON objects in `metrics.jsonl`, one per timestep. Each is read on demand, because the loss curves of a long
+    /// run take a lot of memory.
     ///
     /// # Errors
     /// [`TrainError::Read`] if `metrics.jsonl` cannot be read, of the call or of an item.
     pub fn metrics(&self) -> Result<impl Iterator<Item = Result<Value, TrainError>> + use<>, TrainError> {
-        // A line cut short by a crash is one of a timestep that has no checkpoint yet.
+        // A line cut short by a crash belongs to a timestep without a checkpoint.
         let parse = |line: Result<String, TrainError>| line.map(|line| serde_json::from_str(&line).ok()).transpose();
         Ok(self.metrics_lines()?.filter_map(parse))
     }
@@ -494,7 +495,7 @@ impl Run {
         let (lines, mut failed) = (self.metrics_lines()?, None);
         let written = write_whole(&path, Existing::Replace, |file| {
             let mut file = BufWriter::new(file);
-            // The lines as they are: printing what was parsed could change the last digit of a number.
+            // The lines unchanged: printing parsed values could change the last digit of a number.
             for line in lines {
                 match line {
                     Ok(line) if kept(&line) => writeln!(file, "{line}")?,
@@ -521,7 +522,7 @@ impl Run {
         let mut file = fs::OpenOptions::new().create(true).append(true).open(&path).map_err(write(&path))?;
         let before = file.metadata().map_err(write(&path))?.len();
         file.write_all(format!("{metrics}\n").as_bytes()).map_err(|error| {
-            // Not half a line.
+            // No half line remains.
             let _ = file.set_len(before);
             write(&path)(error)
         })

@@ -4,14 +4,14 @@ use tcgs_core::{Column, RateGroup};
 
 use crate::config::{REFERENCE_ITERATIONS, TrainConfig};
 
-/// Rate at which the young learn what is the same at all timesteps, by that of the newborn: the timesteps since their birth are
-/// shown with it, too.
+/// Learning rate of the young for columns that are constant over time, relative to that of the newborn. These columns
+/// also change how the timesteps since their birth look.
 const YOUTH_RATE: f32 = 0.5;
 
-/// How often Gaussians are removed that the training images hardly need.
+/// Number of times that Gaussians are removed that the training images hardly need.
 const NUM_PRUNINGS: usize = 3;
 
-/// Fewest iterations of a first timestep that takes back the error of such a removal.
+/// Fewest iterations of a first timestep that makes up for the error of such a removal.
 const RECOVERY: f32 = 1000.0;
 
 /// Learning rates of one iteration.
@@ -42,7 +42,7 @@ pub struct Rates {
 }
 
 impl Rates {
-    /// The learning rate of a column; 0 of one that is constant over time and has been learned.
+    /// The learning rate of a column; 0 if it is constant over time and already learned.
     pub fn of(&self, column: &Column) -> f32 {
         if !column.varies && !self.moves_constants {
             return 0.0;
@@ -58,7 +58,7 @@ impl Rates {
     }
 }
 
-/// The phases of a run: the first timestep, all later timesteps, and at these what the newborn and the young learn.
+/// The phases of a run: the first timestep, all later timesteps, and after these the training of newborn and young.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Phase {
@@ -95,7 +95,7 @@ impl Schedule {
         Self { config: config.clone(), scene_radius }
     }
 
-    /// Number of iterations of a timestep; of the newborn before they are divided, and as many after it.
+    /// Number of iterations of a timestep. The newborn take as many before they are divided, and again after it.
     pub fn iterations(&self, phase: Phase) -> usize {
         match phase {
             Phase::First => self.config.schedule.first_iterations,
@@ -107,7 +107,7 @@ impl Schedule {
 
     /// Reference iterations / actual iterations.
     fn shortening(&self, phase: Phase) -> f32 {
-        // What is born learns what the first timestep taught the others.
+        // Newborn Gaussians learn what the first timestep taught the others.
         let reference = REFERENCE_ITERATIONS[usize::from(phase == Phase::Rest)];
         reference as f32 / self.iterations(phase) as f32
     }
@@ -142,7 +142,7 @@ impl Schedule {
                     // All Gaussians share the cameras.
                     camera: if phase == Phase::First { r.camera * scale * decay } else { 0.0 },
                     centers_cameras: r.camera_centered,
-                    // Who is needed is voted on over the timesteps to come.
+                    // The timesteps to come vote on which Gaussians are needed.
                     mask: if phase == Phase::First { mask } else { 0.0 },
                     step: r.step * decay,
                     moves_constants: true,
@@ -150,7 +150,7 @@ impl Schedule {
             }
             Phase::Rest => {
                 let scale = if r.motion_scale == 0.0 { self.shortening(phase).max(1.0) } else { r.motion_scale };
-                // Decays towards its share of the rate it starts from.
+                // Decays towards `motion_decay` times the initial rate.
                 let motion = scale * cosine(r.motion_decay);
                 Rates {
                     mean: mean * motion,
@@ -169,8 +169,8 @@ impl Schedule {
         }
     }
 
-    /// Whether gradients are counted for densification: until its last one at the first timestep; of the newborn, which are
-    /// densified afterwards, in the last half of their iterations.
+    /// Whether gradients are counted for densification. At the first timestep they count until its last densification.
+    /// Newborn Gaussians are densified afterwards, so theirs count in the last half of their iterations.
     pub fn counts_gradients(&self, phase: Phase, iteration: usize) -> bool {
         match phase {
             Phase::First => iteration <= self.scaled(self.config.densify.end),
@@ -198,8 +198,8 @@ impl Schedule {
         self.config.densify.prune_large > 0 && iteration >= self.scaled(self.config.densify.prune_large)
     }
 
-    /// Whether opacities are reset at this iteration. A schedule that leaves fewer iterations than one
-    /// interval before the last event does without: what has not recovered by then would be removed.
+    /// Whether opacities are reset at this iteration. A schedule without a whole interval between reset and last event
+    /// has no reset: Gaussians that have not recovered by then would be removed.
     pub fn resets_opacities(&self, iteration: usize) -> bool {
         let d = &self.config.densify;
         let recovers = self.scaled(d.end) >= self.scaled(d.reset) + d.interval;
@@ -213,8 +213,8 @@ impl Schedule {
         self.config.mask.enabled && iteration > 0 && iteration.is_multiple_of(interval) && !ended
     }
 
-    /// By how much each of these removals may let the squared error grow, as a share of it: less in a schedule too short to
-    /// take the error back.
+    /// Share by which each of these removals may increase the squared error. A schedule too short to make up for the
+    /// error has a smaller share.
     pub fn prune_error(&self) -> f32 {
         let iterations = self.iterations(Phase::First) as f32;
         self.config.densify.prune_error * (iterations / RECOVERY).min(1.0)
@@ -227,7 +227,7 @@ impl Schedule {
         self.config.densify.prune_error > 0.0 && iteration > 0 && (1..=NUM_PRUNINGS).any(is_due)
     }
 
-    /// Whether Gaussians are replaced, removed or reset after this iteration, so that its gradients are not theirs.
+    /// Whether Gaussians are replaced, removed or reset after this iteration, which invalidates its gradients.
     pub fn reshapes(&self, iteration: usize) -> bool {
         self.densifies(iteration)
             || self.resets_opacities(iteration)
@@ -242,7 +242,7 @@ impl Schedule {
     }
 }
 
-/// From 1 along half a cosine to `end`.
+/// Half a cosine from 1 to `end`.
 ///
 /// - `progress`: 0 to 1
 pub(crate) fn cosine(end: f32, progress: f32) -> f32 {

@@ -1,8 +1,8 @@
 //! Gaussians that do not live at all timesteps, in a scene that has all of them at every timestep.
 //!
-//! The codec sees tracks of one length. So a Gaussian stands as it was born before its birth, and as it died after its
-//! death. At all timesteps it has the opacity, scales and harmonics that it settled with. The codec then cuts the
-//! tracks to the lives.
+//! The codec sees tracks of one length. Before its birth a Gaussian therefore stands as it was born, and after its
+//! death as it died. At all timesteps it has the opacity, scales and harmonics with which it settled. The codec then
+//! cuts the tracks to the lives.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -11,32 +11,32 @@ use tcgs_core::{Gaussians, Layout};
 
 use crate::lifetimes::Lives;
 
-/// What stands in for the Gaussians of a run at the timesteps at which they do not live: before its birth each stands as it is
-/// born, after its death as it was at the last timestep of its life.
+/// Stand-ins for the Gaussians of a run at timesteps at which they do not live. Before its birth a Gaussian stands as
+/// it is born; after its death, as it was at the last timestep of its life.
 #[derive(Clone, Debug)]
 pub struct StandIns {
     /// None if all live at all timesteps.
     lives: Option<Lives>,
-    /// Those born after the first timestep, by identity: each where and how it was born, with the values that it settled with
-    /// in the columns that do not vary over time.
+    /// Gaussians born after the first timestep, by identity, each with its pose at birth. Columns that do not vary over
+    /// time have the values with which the Gaussian settled.
     newborn: Gaussians,
-    /// Identities of those that died, in the order of their deaths.
+    /// Identities of the Gaussians that died, in the order of their deaths.
     dead: Vec<usize>,
-    /// `[dead]` as they were.
+    /// `[dead]` these Gaussians at the last timestep of their lives.
     departed: Gaussians,
 }
 
 impl StandIns {
-    /// Of a scene whose Gaussians all live at all timesteps.
+    /// No stand-ins: all Gaussians of the scene live at all timesteps.
     pub fn none(layout: &Arc<Layout>) -> Self {
         let nobody = Gaussians::zeros_of(layout, 0);
         Self { lives: None, newborn: nobody.clone(), dead: Vec::new(), departed: nobody }
     }
 
-    /// Of a run.
+    /// The stand-ins of a run.
     ///
     /// - `lives`: up to timestep `last`
-    /// - `at`: gives those that live at a timestep, in the order of identities
+    /// - `at`: returns the Gaussians that live at a timestep, in the order of identities
     ///
     /// # Errors
     /// As `at`.
@@ -46,7 +46,7 @@ impl StandIns {
         last: usize,
         at: impl Fn(usize, &Lives) -> Result<Gaussians, E>,
     ) -> Result<Self, E> {
-        // Some of those that live at a timestep.
+        // A selection of the Gaussians that live at a timestep.
         let some = |timestep: u32, of: &dyn Fn(usize) -> bool| -> Result<Gaussians, E> {
             let living = lives.living(timestep as usize);
             let rows: Vec<usize> = (0..living.len()).filter(|&row| of(living[row])).collect();
@@ -68,14 +68,14 @@ impl StandIns {
         Ok(stand_ins)
     }
 
-    /// When each Gaussian lives; none if all do at all timesteps.
+    /// Lifetimes of the Gaussians; none if all live at all timesteps.
     pub fn lives(&self) -> Option<&Lives> {
         self.lives.as_ref()
     }
 
-    /// Gives the newborn the constants of the last timestep of their lives.
+    /// Sets the constant columns of the newborn to their values at the last timestep of their lives.
     ///
-    /// - `now`: those that live at timestep `last`
+    /// - `now`: Gaussians that live at timestep `last`
     fn settle(&mut self, now: &Gaussians, last: usize) {
         let Some(lives) = &self.lives else { return };
         let living = lives.living(last);
@@ -96,13 +96,13 @@ impl StandIns {
         }
     }
 
-    /// All Gaussians of the scene at a timestep; in columns that do not vary over time the born have the values that they
-    /// settled with.
+    /// All Gaussians of the scene at a timestep. Columns of born Gaussians that do not vary over time have the values
+    /// with which these settled.
     ///
-    /// - `gaussians`: of the timestep, those that live
+    /// - `gaussians`: those that live at the timestep
     ///
     /// # Panics
-    /// If they are not as many as live then, or of another layout.
+    /// If their number is not that of the living, or their layout differs.
     pub fn complete(&self, gaussians: Gaussians, timestep: usize) -> Gaussians {
         let Some(lives) = &self.lives else { return gaussians };
         let layout = Arc::clone(gaussians.layout());
@@ -111,7 +111,7 @@ impl StandIns {
         let num_first = lives.len() - self.newborn.num_gaussians();
         let mut all = gaussians;
         if living.len() < lives.len() {
-            // Where each stands among the living, the newborn and the dead.
+            // Position of each among the living, the newborn and the dead.
             let unborn = living.len()..living.len() + self.newborn.num_gaussians();
             let mut rows: Vec<usize> = (0..num_first).chain(unborn.clone()).collect();
             for (row, &id) in self.dead.iter().enumerate().filter(|(_, id)| lives.deaths[**id] as usize <= timestep) {

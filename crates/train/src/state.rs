@@ -1,5 +1,5 @@
-//! The optimisation's state: what checkpoints, density control and evaluation look at, and what engines
-//! compute with. What lives here: memory of the host, and what changes it without looking at an image.
+//! The optimisation's state: the data that checkpoints, density control and evaluation read, and with which engines
+//! compute. What lives here: host memory, and its changes that need no image.
 
 use std::sync::Arc;
 
@@ -73,7 +73,7 @@ impl Optimizer {
         }
     }
 
-    /// Forgets what does not go on from one timestep to the next: the moments of what follows motion, and of masks.
+    /// Clears the moments that do not carry over to the next timestep: those of poses and of masks.
     ///
     /// - `count_too`: see [`Moments::clear`]
     pub(crate) fn begin_timestep(&mut self, count_too: bool) {
@@ -85,8 +85,8 @@ impl Optimizer {
         self.mask.clear(count_too);
     }
 
-    /// What a timestep leaves to the next one: the moments of columns that [`Self::begin_timestep`] does not clear,
-    /// and how often everything that varies was updated.
+    /// The part that carries over to the next timestep: moments that [`Self::begin_timestep`] does not clear, and
+    /// update counts of all varying columns.
     pub(crate) fn carried_over(&self) -> Self {
         let mut carried = self.clone();
         carried.begin_timestep(false);
@@ -106,8 +106,8 @@ impl Optimizer {
     }
 }
 
-/// Whether the moments of a column that varies go on from one timestep to the next. Those of what follows motion start
-/// anew: it was moved to where it would be at constant velocity.
+/// Whether the moments of a column that varies carry over to the next timestep. Poses were moved by the
+/// constant-velocity prediction, so their moments restart at zero.
 pub(crate) fn goes_on(column: &Column) -> bool {
     !matches!(column.rate, RateGroup::Mean | RateGroup::Quat)
 }
@@ -162,14 +162,14 @@ impl State {
         }
     }
 
-    /// Remembers the first timestep, if that is the one before. No motion is known yet.
+    /// Records the first timestep as the past, if it is the previous one. No motion is known yet.
     pub(crate) fn begin_past(&mut self) {
         let p = &self.parameters;
         self.past.get_or_insert_with(|| Past::new(Pose::of(&p.gaussians), p.gaussians.clone(), &p.foreground));
     }
 
-    /// Replaces the Gaussians by `rows` of them, with everything that belongs to each: values, identity, moments,
-    /// bit widths, its past and its share of the statistic.
+    /// Replaces the Gaussians by `rows` of them, with all data of each: values, identity, moments, bit widths, its past
+    /// and its share of the statistic.
     pub fn gather(&mut self, rows: &[Row]) {
         let indices: Vec<usize> = rows.iter().map(|row| row.source()).collect();
         self.parameters = self.parameters.select(&indices);
@@ -188,7 +188,7 @@ impl State {
         };
     }
 
-    /// Appends Gaussians that are born at the current timestep: with zero moments, and at rest since they were born.
+    /// Appends Gaussians that are born at the current timestep: with zero moments, and at rest since their birth.
     pub(crate) fn append(&mut self, born: &Parameters) {
         let (before, count) = (self.parameters.num_gaussians(), born.num_gaussians());
         self.parameters.append(born);
@@ -209,7 +209,7 @@ impl State {
         self.statistic.count.resize(before + count, 0);
     }
 
-    /// Lets Gaussians die at the current timestep: removes them, with everything that belongs to them.
+    /// Removes Gaussians, with all their data, and records that they die at the current timestep.
     ///
     /// - `dead`: their indices, ascending
     pub(crate) fn bury(&mut self, dead: &[usize]) {
@@ -219,19 +219,19 @@ impl State {
         self.gather(&rows);
     }
 
-    /// Poses at birth of those that were born after the first timestep.
+    /// Poses at birth of the Gaussians born after the first timestep.
     pub(crate) fn born(&self) -> Pose {
         let num_first = self.lifetimes.num_first();
         self.past.as_ref().map_or_else(Pose::default, |past| past.first.range(num_first..past.first.means.len()))
     }
 
-    /// Numbers the Gaussians from 0 in their order: what the first timestep leaves is what there is.
+    /// Renumbers the Gaussians from 0 in their order: identities start with the result of the first timestep.
     pub(crate) fn number_anew(&mut self) {
         self.lifetimes = Lifetimes::new(self.parameters.num_gaussians());
     }
 
-    /// Brings rotations into the form that files hold: unit length, `w >= 0`. To be done before anything
-    /// is measured for quantisation, so that quantizers are fitted to what they will round.
+    /// Brings rotations into the form of files: unit length, `w >= 0`. Call it before anything is measured for
+    /// quantisation, so that quantizers are fitted to the values that they will round.
     pub fn canonicalize_quats(&mut self) {
         self.parameters.gaussians.quats_mut().par_iter_mut().for_each(|quat| {
             let unit = normalize(*quat);
@@ -239,9 +239,9 @@ impl State {
         });
     }
 
-    /// Starts quantising: Adam begins anew at that moment, as in the authors' fork.
+    /// Starts quantising and restarts Adam, as in the authors' fork.
     ///
-    /// - `quantizers`: for the Gaussians as they are now, after [`Self::canonicalize_quats`]
+    /// - `quantizers`: for the current Gaussians, after [`Self::canonicalize_quats`]
     pub fn start_quantization(&mut self, quantizers: FakeQuantizers) {
         self.optimizer = Optimizer::new(&self.parameters, quantizers.quantizers.len());
         self.quantizers = Some(quantizers);
@@ -255,7 +255,7 @@ mod tests {
     use super::*;
     use crate::motion::Pose;
 
-    /// Each thing that belongs to a Gaussian holds the Gaussian's number.
+    /// Every value that belongs to a Gaussian holds the Gaussian's number.
     #[test]
     fn one_gather_moves_everything_that_belongs_to_a_gaussian() {
         let points: Vec<[f32; 3]> = (0..4).map(|i| [i as f32; 3]).collect();
@@ -277,7 +277,7 @@ mod tests {
         assert_eq!(state.parameters.mask_logits, expected);
         assert_eq!(state.statistic.count, [3, 1, 3]);
         assert_eq!((&state.lifetimes.ids[..], &state.lifetimes.births()[..]), (&[3, 1, 4][..], &[0, 0, 7][..]));
-        // What is new starts without moments.
+        // New Gaussians start without moments.
         assert_eq!(state.optimizer.first.means(), [[3.0; 3], [1.0; 3], [0.0; 3]]);
         assert_eq!(state.optimizer.mask.first, [3.0, 1.0, 0.0]);
         let past = state.past.unwrap();

@@ -1,16 +1,16 @@
-//! Points that no training camera has in its image: no loss tells anything of them, and other cameras see them.
+//! Points outside of all training images: no loss constrains them, but other cameras see them.
 //!
-//! Such points keep the places and colours that the capture gives. Since nothing is learned of them, few of them are enough.
+//! Such points keep the places and colours of the capture. Since nothing is learned of them, a few of them are enough.
 
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 use tcgs_core::{Camera, Pinhole, PointCloud};
 
-/// Fewest cells a capture's unseen points are gathered in, so that small scenes have some.
+/// Fewest cells for a capture's unseen points, so that small scenes have some.
 const MIN_CELLS: usize = 1000;
 
-/// By how much cells grow until they are few enough.
+/// Growth of the cells until they are few enough.
 const GROWTH: f32 = 1.25;
 
 /// Whether each point is in the image of a camera, hidden or not.
@@ -22,11 +22,11 @@ pub fn are_in_images(points: &[[f32; 3]], cameras: &[Camera]) -> Vec<bool> {
     points.par_iter().map(|&point| pinholes.iter().any(|pinhole| pinhole.pixel(point).is_some())).collect()
 }
 
-/// Gathers the points that are in no image into few.
+/// Reduces the points that are in no image to a few.
 ///
-/// - `cameras`: of the images
-/// - `share`: most of these points, as a share of those in images
-/// - returns: the points in images, then those gathered
+/// - `cameras`: cameras of the images
+/// - `share`: largest number of these points, as a share of those in images
+/// - returns: the points in images, then the reduced ones
 pub(crate) fn gather_unseen(cloud: &PointCloud, cameras: &[Camera], share: f32) -> PointCloud {
     let is_seen = are_in_images(&cloud.points, cameras);
     let rows = |wanted: bool| (0..is_seen.len()).filter(|&i| is_seen[i] == wanted).collect::<Vec<_>>();
@@ -41,7 +41,7 @@ pub(crate) fn gather_unseen(cloud: &PointCloud, cameras: &[Camera], share: f32) 
         let mean = |of: &[[f32; 3]]| -> [f32; 3] {
             std::array::from_fn(|axis| cell.iter().map(|&i| of[i][axis]).sum::<f32>() / cell.len() as f32)
         };
-        // A point of the surface: the mean of a corner lies in the air.
+        // A point of the surface, because the mean around a corner lies in the air.
         let middle = mean(&cloud.points);
         let distance = |i: usize| (0..3).map(|axis| (cloud.points[i][axis] - middle[axis]).powi(2)).sum::<f32>();
         let nearest = cell.iter().copied().min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
@@ -52,9 +52,9 @@ pub(crate) fn gather_unseen(cloud: &PointCloud, cameras: &[Camera], share: f32) 
     gathered
 }
 
-/// Divides points into at most `most` cubes of one size, in an order of their own.
+/// Divides points into at most `most` cubes of equal size, in an order of their own.
 ///
-/// - `rows`: the points
+/// - `rows`: indices of the points
 fn cells(points: &[[f32; 3]], rows: &[usize], most: usize) -> Vec<Vec<usize>> {
     if rows.len() <= most {
         return rows.iter().map(|&i| vec![i]).collect();
@@ -64,7 +64,7 @@ fn cells(points: &[[f32; 3]], rows: &[usize], most: usize) -> Vec<Vec<usize>> {
     };
     let (low, high) = (ends(f32::min, f32::INFINITY), ends(f32::max, f32::NEG_INFINITY));
     let extent = (0..3).map(|axis| high[axis] - low[axis]).fold(0.0, f32::max);
-    // Points on a surface: about as many cells as fit twice on a square of the extent.
+    // On a square surface of this extent, cells of the initial edge number 16 times `most`; the edge then grows.
     let mut edge = extent / (most as f32).sqrt() / 4.0;
     loop {
         let mut cells: BTreeMap<[u32; 3], Vec<usize>> = BTreeMap::new();
@@ -72,7 +72,7 @@ fn cells(points: &[[f32; 3]], rows: &[usize], most: usize) -> Vec<Vec<usize>> {
             let cell = std::array::from_fn(|axis| ((points[i][axis] - low[axis]) / edge) as u32);
             cells.entry(cell).or_default().push(i);
         }
-        // Points at one place have no extent.
+        // Coincident points have no extent.
         if cells.len() <= most || edge == 0.0 {
             return cells.into_values().collect();
         }

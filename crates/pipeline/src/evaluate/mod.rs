@@ -20,20 +20,20 @@ pub use result::{COLUMNS, MetricColumn, evaluation_json, protocol_mean};
 /// Fewest renders that a median time is taken of.
 const MIN_TIMED_RENDERS: usize = 9;
 
-/// What [`evaluate`] compares.
+/// The inputs of [`evaluate`].
 #[derive(Clone)]
 pub struct EvaluateSettings<'a> {
-    /// Which cameras.
+    /// The cameras.
     pub split: Split,
     /// Frames of the capture; the scene has them.
     pub frames: Range<usize>,
     /// Factor by which the capture's images are shrunk.
     pub downscale: usize,
-    /// Whether the first of the frames stands for all: what a scene without motion would reach.
+    /// Whether the first frame stands for all: the result of a scene without motion.
     pub frozen: bool,
-    /// What measures LPIPS; none leaves it out.
+    /// The network that measures LPIPS; none leaves LPIPS out.
     pub lpips: Option<&'a Lpips>,
-    /// Whose metrics are taken besides.
+    /// Protocol whose metrics are measured in addition.
     pub protocol: Option<Protocol>,
 }
 
@@ -48,23 +48,23 @@ impl EvaluateSettings<'_> {
 /// Metrics of one image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImageScore {
-    /// Of the scene.
+    /// Timestep of the scene.
     pub timestep: usize,
-    /// The capture's name of it.
+    /// The capture's number of the camera.
     pub camera: usize,
     /// All channels together, clamped, dB.
     pub psnr: f64,
     /// Mean over channels, not clamped, dB.
     pub psnr_per_channel: f64,
-    /// Of the clamped image, as all that follow.
+    /// SSIM of the clamped image; so are the metrics that follow.
     pub ssim: f64,
-    /// None of an image that is too small.
+    /// MS-SSIM; none if the image is too small.
     pub ms_ssim: Option<f64>,
-    /// Of [`Self::ms_ssim`].
+    /// DSSIM of [`Self::ms_ssim`].
     pub dssim: Option<f64>,
-    /// None without weights, and of an image that is too small.
+    /// LPIPS with VGG; none without weights, or if the image is too small.
     pub lpips_vgg: Option<f64>,
-    /// Likewise.
+    /// LPIPS with AlexNet, under the same conditions.
     pub lpips_alex: Option<f64>,
     /// [`Self::psnr`] over the foreground alone; none without a mask or foreground.
     pub psnr_foreground: Option<f64>,
@@ -72,22 +72,22 @@ pub struct ImageScore {
     pub protocol: Vec<Option<f64>>,
 }
 
-/// What [`evaluate`] finds.
+/// The result of [`evaluate`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Evaluation {
     /// By time, then in the capture's order; at least one.
     pub images: Vec<ImageScore>,
-    /// Mean over cameras and neighbouring frames; none of a single frame, or where nothing is static.
+    /// Mean over cameras and neighbouring frames; none for a single frame, or if nothing is static.
     pub flicker: Option<f64>,
     /// Width and height of the last image.
     pub size: [usize; 2],
-    /// Of one forward render, decoded and warm, at the evaluation size; without the time that colours by spherical
-    /// harmonics take.
+    /// Time of one forward render at the evaluation size, decoded and warm. Colours by spherical harmonics are not
+    /// included.
     pub median_render_ms: f64,
-    /// What rendered.
+    /// The device that rendered.
     pub device: String,
-    /// Whether colours of the capture's images were changed by its gains and offsets. A protocol compares with what the
-    /// cameras recorded.
+    /// Whether gains and offsets of the capture changed the colours of its images. A protocol compares with the images
+    /// that the cameras recorded.
     pub changed_colors: bool,
 }
 
@@ -127,13 +127,13 @@ pub fn evaluate(
     let capture = recorded.as_ref().unwrap_or(capture);
     let EvaluateSettings { split, ref frames, downscale, frozen, .. } = *settings;
     scene.choose_frames(Some(frames))?;
-    // The last frame is looked for before the first is rendered.
+    // The last frame is checked before the first is rendered.
     capture.cameras(split, frames.end - 1, downscale)?;
     let cameras = capture.cameras(split, frames.start, downscale)?;
     let num_steps = cameras.len() * frames.len();
     tell(observer, Event::Begun { work: Work::Evaluating, num_steps })?;
     let (mut images, mut flickers, mut times_ms) = (Vec::new(), Vec::new(), Vec::new());
-    // Of the frame before, by camera: as rendered, and as it should be.
+    // Images of the previous frame, by camera: as rendered, and the target.
     let mut before: BTreeMap<usize, [Image; 2]> = BTreeMap::new();
     let mut drawn = scene.drawn(frames.start - scene.first_frame)?;
     let mut last_camera = None;
@@ -149,7 +149,7 @@ pub fn evaluate(
             let clamped = clamped(&output.image);
             images.push(score(timestep, &output.image, &clamped, &view, settings));
             tell(observer, Event::Frame(frame))?;
-            // Sizes may change with time; nothing says which pixels belong together then.
+            // Sizes may change with time; pixels then have no counterparts.
             let size = |image: &Image| (image.width, image.height);
             if let Some([rendered, image]) = before.get(&view.camera_id)
                 && size(image) == size(&view.image)

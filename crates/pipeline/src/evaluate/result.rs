@@ -1,4 +1,4 @@
-//! What an evaluation tells machines, and the metrics that every evaluation has.
+//! The JSON output of an evaluation, and the metrics that every evaluation has.
 
 use serde_json::{Map, Value, json};
 use tcgs_metrics::Protocol;
@@ -30,7 +30,8 @@ pub const COLUMNS: [MetricColumn; 7] = [
     MetricColumn { key: "lpips_alex", title: "LPIPS-Alex", decimals: 4, of: |i| i.lpips_alex },
 ];
 
-/// An evaluation as a JSON object: the means, and the metrics of every image. What is not measured is null, never 0.
+/// An evaluation as a JSON object: the means, and the metrics of every image. A metric that was not measured is null,
+/// never 0.
 pub fn evaluation_json(scene: &OpenScene, evaluation: &Evaluation, protocol: Option<Protocol>) -> Value {
     let images = evaluation.images.iter().map(|image| {
         let mut object = Map::new();

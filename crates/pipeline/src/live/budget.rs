@@ -1,4 +1,4 @@
-//! How often something may be made beside a training.
+//! Limits the work beside a training.
 
 use std::fs;
 use std::thread::available_parallelism;
@@ -8,23 +8,23 @@ use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 
 /// Share of a training's time that may be spent.
 const SHARE: f64 = 0.015;
-/// Nobody sees more often than this that a scene changed, seconds.
+/// Shortest interval at which a changed scene is made, seconds.
 const MIN_INTERVAL: f64 = 2.0;
 
-/// A bound on what is spent: after what took a second from the training nothing is made for 67 seconds.
+/// A bound on the time spent: after work that cost the training a second, nothing is made for 67 seconds.
 #[derive(Debug)]
 pub(super) struct Budget {
     free_at: Instant,
-    /// One thread, so that what it makes leaves the threads of the training alone and its processor time is known.
+    /// One thread, so that the work leaves the training's threads alone and its processor time is known.
     thread: ThreadPool,
     num_processors: f64,
 }
 
 impl Budget {
-    /// Something may be made at once: who has just begun to look wants to see something.
+    /// A budget that allows work at once, so that a new viewer sees something.
     ///
     /// # Errors
-    /// If the system has no thread to spare.
+    /// If the system cannot start another thread.
     pub fn new() -> Result<Self, ThreadPoolBuildError> {
         let thread = ThreadPoolBuilder::new().num_threads(1).thread_name(|_| "view".into()).build()?;
         let num_processors = available_parallelism().map_or(1.0, |count| count.get() as f64);
@@ -35,10 +35,10 @@ impl Budget {
         Instant::now() >= self.free_at
     }
 
-    /// Makes something on one thread, and pays for it. The training has the other processors meanwhile, so it loses the
+    /// Does some work on one thread, and pays for it. The training has the other processors meanwhile, so it loses the
     /// processor time divided by their number.
     ///
-    /// - `lost`: seconds that the training has lost besides
+    /// - `lost`: further seconds that the training has lost
     pub fn pay<T: Send>(&mut self, lost: f64, make: impl FnOnce() -> T + Send) -> T {
         let (made, seconds) = self.thread.install(|| {
             let begin = thread_seconds();
@@ -55,8 +55,8 @@ impl Budget {
     }
 }
 
-/// Processor time of this thread so far, seconds. Where the system does not tell, as outside of Linux, that is the time on
-/// the clock, which is more.
+/// Processor time of this thread so far, seconds. Systems other than Linux do not tell it; the wall-clock time, which
+/// is longer, stands in.
 fn thread_seconds() -> f64 {
     let told = fs::read_to_string("/proc/thread-self/schedstat").ok();
     let nanoseconds = told.and_then(|text| text.split_whitespace().next()?.parse::<f64>().ok());

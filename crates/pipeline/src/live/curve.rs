@@ -1,4 +1,4 @@
-//! A curve of values that come one after another, in few points.
+//! A curve of successive values, in few points.
 
 /// Points of a curve; at most twice as many.
 const NUM_POINTS: usize = 100;
@@ -10,7 +10,7 @@ pub(super) struct Curve {
     stretch: usize,
     /// Mean of each whole stretch.
     means: Vec<f64>,
-    /// Of the stretch under way: values, and their sum.
+    /// The current stretch: number of values, and their sum.
     open: (usize, f64),
 }
 

@@ -1,9 +1,9 @@
-//! A run while it is trained, for people who look: how far it is, the scene as it is now, and what is finished.
+//! A run during its training, for viewers: its progress, the current scene, and the finished timesteps.
 //!
-//! What lives here: the curves ([`LiveRun::state`]), small `.tcgs` files of the scene, and how often one is made. What does
-//! not: how somebody asks, such as HTTP.
+//! What lives here: the curves ([`LiveRun::state`]), small `.tcgs` files of the scene, and the frequency at which they
+//! are made. What does not: the transport of requests, such as HTTP.
 //!
-//! Nothing is made unless it is asked for. What is made is paid from a [`Budget`], so that the training hardly notices.
+//! Files are made on request only. A [`Budget`] pays for them, so that the training hardly notices.
 
 mod budget;
 mod curve;
@@ -24,14 +24,14 @@ use self::told::{Running, Told};
 use crate::compress::{CompressOptions, CompressPreset, capture_kind_of, compress_scene, settings_of};
 use crate::{Event, OpenScene, OpenSettings, PipelineError};
 
-/// How long the next iteration is waited for; between two timesteps there is none.
+/// Longest wait for the next iteration; between two timesteps there is none.
 const PATIENCE: Duration = Duration::from_secs(3);
-/// Numbers that the finished timesteps of a file have at most together: 40 MB of them.
+/// Most numbers in all finished timesteps of a file together: 40 MB.
 const MAX_VALUES: usize = 10_000_000;
-/// Finished timesteps of a file at most.
+/// Most finished timesteps of a file.
 const MAX_TIMESTEPS: usize = 30;
 
-/// A run while it is trained. Threads share it: one tells it what happens, others ask.
+/// A run during its training. Threads share it: one reports events, others ask.
 ///
 /// ```
 /// use std::ops::ControlFlow;
@@ -69,16 +69,16 @@ pub struct LiveRun {
     maker: Mutex<Maker>,
 }
 
-/// A `.tcgs` file of a run that is trained.
+/// A `.tcgs` file of a run in training.
 #[derive(Clone, Debug)]
 pub struct LiveFile {
-    /// Another one for other content.
+    /// Differs for other content.
     pub tag: String,
     /// The file.
     pub bytes: Arc<[u8]>,
 }
 
-/// What is made of the run.
+/// The files made of the run.
 #[derive(Debug)]
 struct Maker {
     budget: Budget,
@@ -113,23 +113,23 @@ impl LiveRun {
         }))
     }
 
-    /// Takes note of an event of the training.
+    /// Records an event of the training.
     pub fn hear(&self, event: &Event) {
         self.told().hear(event);
     }
 
-    /// The training has ended: [`Self::finished`] is the whole run from now on.
+    /// Records the end of the training; [`Self::finished`] then returns the whole run.
     pub fn end(&self) {
         self.told().end();
     }
 
-    /// How far the training is, with its curves (`docs/PLAYER.md`, "A training").
+    /// Progress of the training, with its curves (`docs/PLAYER.md`, "A training").
     pub fn state(&self) -> Value {
         self.told().json()
     }
 
-    /// The scene between two iterations as a file of one timestep; an earlier one if none can be made now. Its PSNR, in the
-    /// view that is judged first, joins the curve.
+    /// The scene between two iterations as a file of one timestep. If none can be made at this time, returns an older
+    /// one. Its PSNR, in the first of the judged views, joins the curve.
     ///
     /// - `known`: tag of the file that the caller has
     /// - returns: none if there is nothing newer
@@ -166,7 +166,8 @@ impl LiveRun {
         }
     }
 
-    /// The last finished timesteps as a file; all of them once the training has ended, as `tcgs compress` makes it.
+    /// The last finished timesteps as a file. After the end of the training it is the whole run, as made by
+    /// `tcgs compress`.
     ///
     /// - `known`: as for [`Self::running`]
     /// - returns: none if there is nothing newer
@@ -204,7 +205,7 @@ impl LiveRun {
         let gaussians = &first.parameters.gaussians;
         let values = gaussians.layout().raw_bytes(gaussians.num_gaussians().max(1), 1) as usize / size_of::<f32>();
         let begin = end - end.min(MAX_TIMESTEPS).min(MAX_VALUES / values).max(1);
-        // From the last death on: before it there were others.
+        // Starts at the last death, since earlier timesteps have other Gaussians.
         let deaths = run.lives(end)?.map(|lives| lives.deaths).unwrap_or_default();
         let begin = deaths.into_iter().map(|death| death as usize).filter(|&death| death < end).fold(begin, usize::max);
         let at = |timestep| match timestep {

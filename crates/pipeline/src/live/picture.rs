@@ -1,4 +1,4 @@
-//! Small files and pictures of a scene that is trained: made quickly, and not for keeping.
+//! Small files and pictures of a scene in training: made quickly, and not for keeping.
 
 use tcgs_capture::Capture;
 use tcgs_codec::{
@@ -27,16 +27,16 @@ pub(super) struct Picture {
     first_frame: usize,
     frame_rate: f64,
     downscale: usize,
-    /// Cameras of players.
+    /// Start cameras for players.
     views: Vec<u8>,
-    /// The capture's names of the training cameras, in the order of their gains.
+    /// Camera numbers of the capture's training cameras, in the order of their gains.
     camera_ids: Vec<usize>,
-    /// Below it a Gaussian is not drawn; none without masks.
+    /// Threshold below which a Gaussian is not drawn; none without masks.
     mask_threshold: Option<f32>,
 }
 
 impl Picture {
-    /// - `cameras`: for training, with the capture's names
+    /// - `cameras`: training cameras, with the capture's numbers
     pub fn new(config: &TrainConfig, capture: &Capture, cameras: &[(usize, Camera)]) -> Self {
         let view = |i: usize| FileCamera { name: cameras[i].0.to_string(), camera: cameras[i].1.clone() };
         Self {
@@ -59,12 +59,12 @@ impl Picture {
         }
     }
 
-    /// A `.tcgs` file of timesteps without keypoints, which are slow to choose. It has the Gaussians that at least one of the
-    /// timesteps draws.
+    /// A `.tcgs` file of timesteps, without keypoints because these are slow to choose. It has the Gaussians that at
+    /// least one of the timesteps draws.
     ///
     /// - `begin`: the first of the timesteps
-    /// - `timesteps`: at least one; each has the Gaussians of the one before, of which none has died, then those
-    ///   that were born
+    /// - `timesteps`: at least one. Each has the Gaussians of the one before, of which none has died, then those that
+    ///   were born
     pub fn file(&self, begin: usize, timesteps: &[Parameters]) -> Result<Vec<u8>, PipelineError> {
         let last = timesteps.len() - 1;
         let n = timesteps[last].num_gaussians();
@@ -74,7 +74,7 @@ impl Picture {
             is_shown.iter_mut().zip(shown).for_each(|(is_shown, shown)| *is_shown |= shown);
         }
         let keep: Vec<usize> = (0..n).filter(|&i| is_shown[i]).collect();
-        // Who is not born yet waits as it will be.
+        // A Gaussian that is not born yet stands as it will be born.
         let mut all: Vec<Gaussians> = Vec::with_capacity(timesteps.len());
         for parameters in timesteps.iter().rev() {
             let here = parameters.num_gaussians();
@@ -110,7 +110,7 @@ impl Picture {
         Ok(CompactFile::of(compact).encode(tcgs_codec::FORMAT_VERSION, &[(VIEWS, &self.views)])?)
     }
 
-    /// PSNR in a view, dB; in one of a training camera with what that camera's colours differ by.
+    /// PSNR in a view, dB. A training camera's gain and offset are applied to its view.
     pub fn psnr(&self, parameters: &Parameters, view: &View) -> f64 {
         let shown = self.shown(parameters);
         let rows: Vec<usize> = (0..shown.len()).filter(|&i| shown[i]).collect();

@@ -1,4 +1,4 @@
-//! What a training told so far: how far it is, and its curves.
+//! Reports of a training: its progress, and its curves.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -10,7 +10,7 @@ use tcgs_train::Trained;
 use super::curve::Curve;
 use crate::{Event, TimestepSummary};
 
-/// What the training told.
+/// The reports so far.
 #[derive(Debug)]
 pub(super) struct Told {
     pub has_ended: bool,
@@ -24,16 +24,16 @@ pub(super) struct Told {
     held_out: bool,
 }
 
-/// A timestep that is trained.
+/// A timestep in training.
 #[derive(Debug)]
 pub(super) struct Running {
     pub timestep: usize,
     frame: usize,
-    /// Iterations that are computed, and those that the timestep has if its losses go on falling.
+    /// Computed iterations, and all iterations of the timestep if its losses go on falling.
     iterations: [usize; 2],
     trained: Option<Trained>,
     loss: Curve,
-    /// Iteration and PSNR of the files that were made.
+    /// Iteration and PSNR of the files made.
     pub psnr: Vec<(usize, f64)>,
     pub judged: Arc<[View]>,
 }
@@ -48,16 +48,16 @@ pub(super) struct Finished {
 }
 
 impl Told {
-    /// Before the training begins.
+    /// The state before the training begins.
     ///
-    /// - `num_timesteps`: that the run will have
+    /// - `num_timesteps`: number that the run will have
     pub fn new(num_timesteps: usize, num_gaussians: usize) -> Self {
         let begun = Instant::now();
         let (running, finished) = (None, Vec::new());
         Self { has_ended: false, begun, num_timesteps, num_gaussians, running, finished, held_out: false }
     }
 
-    /// Takes note of a timestep that was finished before, by a line of the run's `metrics.jsonl`.
+    /// Records an already finished timestep, from a line of the run's `metrics.jsonl`.
     pub fn recall(&mut self, metrics: &Value) {
         self.finished.extend(Finished::of_metrics(metrics));
     }
@@ -138,7 +138,7 @@ impl Finished {
     /// - `metrics`: a line of the run's `metrics.jsonl`
     fn of_metrics(metrics: &Value) -> Option<Self> {
         let number = |key: &str| metrics[key].as_f64();
-        // Runs of earlier versions trained everything.
+        // Without these keys the run trained everything.
         let share = |key: &str| number(key).unwrap_or(1.0);
         let (gaussians, tiles) = (share("active_gaussians"), share("active_tiles"));
         Some(Self { psnr: number("psnr")?, loss: number("loss")?, gaussians, tiles })

@@ -1,4 +1,4 @@
-//! Runs that continue one another, as one scene over time. What does not live here: how a chapter is trained
+//! Runs that continue one another, as one scene over time. What does not live here: the training of a chapter
 //! (`train::chapter`).
 
 use std::ops::Range;
@@ -10,12 +10,12 @@ use tcgs_train::TrainError;
 use super::Content;
 use crate::{OpenScene, PipelineError};
 
-/// Chapters and what counts of each.
+/// Chapters and the frames that each contributes.
 #[derive(Debug)]
 pub(crate) struct Chapters {
     /// Two or more runs, by their first frames.
     scenes: Vec<OpenScene>,
-    /// The frames that count of each: all of the joined scene together.
+    /// The frames that each contributes; together, all frames of the joined scene.
     frames: Vec<Range<usize>>,
     segment_length: u32,
 }
@@ -31,7 +31,7 @@ impl Chapters {
         let mut starts = vec![all.start];
         for pair in scenes.windows(2) {
             let (later, end) = (pair[1].frames().start, pair[0].frames().end);
-            // A chapter's first timestep still follows from far away.
+            // A chapter's first timestep still catches up with a distant start, so a border comes after it.
             let earliest = later.max(starts[starts.len() - 1]) + 1;
             let border = all.start + (end - all.start) / segment_length as usize * segment_length as usize;
             starts.push(if border >= earliest { border } else { end });
@@ -57,7 +57,7 @@ impl Chapters {
         self.frames.iter().map(ExactSizeIterator::len).sum()
     }
 
-    /// The chapter that shows a timestep, and which of its own that is.
+    /// The chapter that shows a timestep, and the timestep's index in it.
     ///
     /// # Panics
     /// If there is no such timestep.
@@ -129,7 +129,7 @@ fn check(scenes: &[OpenScene]) -> Result<(), PipelineError> {
     Ok(())
 }
 
-/// Name of a column in which two scenes differ that does not change with time; all but these may.
+/// Name of a column that is constant over time and differs between two scenes. Columns that vary may differ.
 fn first_difference(first: &Gaussians, other: &Gaussians) -> Option<String> {
     let [a, b]: [&Layout; 2] = [first.layout(), other.layout()];
     if a != b {

@@ -1,6 +1,6 @@
 //! Any scene over time: a `.tcgs` file, a run folder, a `params.npz`, or a sequence of files. What lives here: its
 //! Gaussians. What does not: finding a scene (`found`), opening it (`open`), declarations in its files (`declared`),
-//! the results of training beside Gaussians (`run`), and what it shows (`subject`).
+//! the results of training beside Gaussians (`run`), and its subject (`subject`).
 
 mod chapters;
 mod declared;
@@ -26,7 +26,7 @@ pub use self::open::{CutFiles, OpenSettings};
 use self::run::RunContent;
 use crate::PipelineError;
 
-/// A scene over time, whatever kind of file or folder it lies in.
+/// A scene over time, from any kind of file or folder.
 ///
 /// ```
 /// use tcgs_core::{DynamicGaussians, Gaussians};
@@ -54,18 +54,18 @@ pub struct OpenScene {
     pub downscale: usize,
     /// Frames a second; 0 if unknown.
     pub frame_rate: f64,
-    /// Length of a `.tcgs` file; of anything else the raw size: means, rotations and colours of every timestep, and what
-    /// does not vary by the layout once, so `N (40 T + 16)` without harmonics. Where the number of Gaussians changes, all
-    /// columns of every timestep.
+    /// Length of a `.tcgs` file; for anything else the raw size. That counts means, rotations and colours of every
+    /// timestep, and columns that do not vary by the layout once: `N (40 T + 16)` without harmonics. If the number of
+    /// Gaussians changes, it counts all columns of every timestep.
     pub bytes: u64,
     layout: Arc<Layout>,
     content: Content,
 }
 
-/// What a scene is made of. Of a run, of a file a timestep and of a `params.npz` a timestep is read when it is asked for.
+/// The content of a scene. Runs, sequences of files and `params.npz` read a timestep on demand.
 #[derive(Debug)]
 enum Content {
-    /// A file, of which segments are decoded when they are asked for; an LRU keeps some.
+    /// A file whose segments are decoded on demand; an LRU cache keeps some.
     File(Box<FileContent>),
     /// The symbols of a compression.
     Symbols(Box<CompactFile>),
@@ -74,11 +74,11 @@ enum Content {
     Chapters(Box<Chapters>),
     Floats {
         scene: Box<DynamicGaussians>,
-        /// When each Gaussian lives; none where all do at every timestep.
+        /// Lifetimes; none if all Gaussians live at every timestep.
         lives: Option<Lives>,
         kind: &'static str,
     },
-    /// A `params.npz`, of which a timestep is read when it is asked for.
+    /// A `params.npz`, of which a timestep is read on demand.
     Params(Box<ParamsContent>),
     /// PLY, SPZ or glTF.
     TimestepFiles(TimestepFiles),
@@ -99,14 +99,14 @@ struct ParamsContent {
     num_timesteps: usize,
     /// Whether the file declares its frames.
     has_origin: bool,
-    /// Limits with which the file was opened.
+    /// Limits under which the file was opened.
     limits: ReadLimits,
     file: Mutex<ParamsNpz>,
 }
 
 impl FileContent {
     fn file(&self) -> MutexGuard<'_, SceneFile<File>> {
-        // What a panic elsewhere leaves is a cache with a segment more or less.
+        // A panic elsewhere leaves a cache with a segment more or less.
         self.file.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -118,18 +118,18 @@ impl fmt::Debug for FileContent {
 }
 
 impl OpenScene {
-    /// Runs that continue one another as one scene: chapters of a capture.
+    /// Joins runs that continue one another into one scene: chapters of a capture.
     ///
-    /// Chapters are taken in the order of their frames. Where two overlap, the earlier one counts up to the last border of
-    /// segments after the later one's first frame, so that a file's segments are of one chapter each; up to its end if no
-    /// border lies there.
+    /// Chapters are taken in the order of their frames. If two overlap, the earlier one counts up to the last segment
+    /// border after the later one's first frame, so that each segment of a file is of one chapter. Without such a
+    /// border it counts up to its end.
     ///
     /// - `chapters`: run folders, one or more
-    /// - `segment_length`: timesteps of a segment; none: as the codec chooses it
+    /// - `segment_length`: timesteps of a segment; none for the codec's choice
     ///
     /// # Errors
-    /// [`PipelineError::Input`] if one is no run, there are frames between two, one adds no frame, or they are not of the
-    /// same Gaussians in the same order, which is what a `.tcgs` file holds.
+    /// [`PipelineError::Input`] if one is no run, frames are missing between two, or one adds no frame. Also if they do
+    /// not have the same Gaussians in the same order, which a `.tcgs` file requires.
     pub fn join(mut chapters: Vec<Self>, segment_length: Option<u32>) -> Result<Self, PipelineError> {
         if chapters.len() == 1 {
             return Ok(chapters.remove(0));
@@ -143,7 +143,7 @@ impl OpenScene {
         Ok(Self { path, first_frame, downscale, frame_rate, bytes, layout, content })
     }
 
-    /// Timesteps of a segment at whose borders chapters are joined; none of any other scene.
+    /// Timesteps of a segment at whose borders chapters are joined; none for any other scene.
     pub(crate) fn segment_length(&self) -> Option<u32> {
         match &self.content {
             Content::Chapters(chapters) => Some(chapters.segment_length()),
@@ -151,14 +151,14 @@ impl OpenScene {
         }
     }
 
-    /// Whether the timesteps come from a program that need not say which Gaussian of one is which of the next.
+    /// Whether the timesteps come from a program that need not identify Gaussians across timesteps.
     pub(crate) fn has_loose_timesteps(&self) -> bool {
         matches!(&self.content, Content::TimestepFiles(_) | Content::Fourdgs(_))
     }
 
     /// A scene of Gaussians in memory.
     ///
-    /// - `name`: as messages call it
+    /// - `name`: the scene's name in messages
     /// - `frame_rate`: timesteps a second; 0 if unknown
     ///
     /// ```
@@ -177,15 +177,15 @@ impl OpenScene {
         Self { path, first_frame: 0, downscale: 1, frame_rate, bytes, layout, content }
     }
 
-    /// The same scene with other Gaussians in memory: what a step between this one and a file leaves.
+    /// The same scene with other Gaussians in memory: the result of a step between this one and a file.
     ///
-    /// - `kind`: as [`Self::kind`] shall say
+    /// - `kind`: the value of [`Self::kind`]
     pub fn with_floats(&self, scene: DynamicGaussians, kind: &'static str) -> Self {
         let layout = Arc::clone(scene.layout());
         self.with(layout, Content::Floats { scene: Box::new(scene), lives: None, kind })
     }
 
-    /// Some Gaussians of a scene of floats, in memory: what pruning leaves.
+    /// Some Gaussians of a scene of floats, in memory: the result of pruning.
     ///
     /// - `keep`: their indices, ascending
     ///
@@ -207,8 +207,8 @@ impl OpenScene {
         Self { path: self.path.clone(), layout, content, ..*self }
     }
 
-    /// Assumptions of readers when the scene was opened, and replacements at the timesteps that were read so far. Empty
-    /// unless the scene's files are another program's.
+    /// Assumptions of readers when the scene was opened, and replacements at the timesteps read so far. Empty unless
+    /// the scene's files are another program's.
     ///
     /// ```
     /// use tcgs_core::Gaussians;
@@ -234,8 +234,7 @@ impl OpenScene {
         }
     }
 
-    /// Axes that the Gaussians have in other programs' files; none for anything else. Scenes are in the axes of PLY
-    /// files.
+    /// Axes of the Gaussians in other programs' files; none for anything else. Scenes are in the axes of PLY files.
     pub fn axes(&self) -> Option<Axes> {
         match &self.content {
             Content::TimestepFiles(files) => Some(files.axes()),
@@ -244,18 +243,18 @@ impl OpenScene {
         }
     }
 
-    /// Whether the scene is one of floats whose timesteps are read from the disk, and were checked to be of one scene.
+    /// Whether the scene is one of floats whose timesteps are on disk and were checked to be of one scene.
     pub(crate) fn is_on_disk(&self) -> bool {
         matches!(self.content, Content::Run(_) | Content::Chapters(_) | Content::Params(_))
     }
 
-    /// Whether the scene is compressed already.
+    /// Whether the scene is already compressed.
     pub fn is_compressed(&self) -> bool {
         matches!(self.content, Content::File(_) | Content::Symbols(_))
     }
 
-    /// `N`, of a run before pruning. Where Gaussians come and go, all that the scene ever has; of files that do not say which
-    /// Gaussian of one timestep is which of the next, the most at any timestep.
+    /// `N`, for a run before pruning. If Gaussians come and go, it counts all that ever live. If the files do not
+    /// identify Gaussians across timesteps, it is the largest number at any timestep.
     pub fn num_gaussians(&self) -> usize {
         match &self.content {
             Content::File(file) => file.info.num_gaussians as usize,
@@ -269,10 +268,10 @@ impl OpenScene {
         }
     }
 
-    /// Number of Gaussians at one timestep, of a run before pruning.
+    /// Number of Gaussians at one timestep, for a run before pruning.
     ///
     /// # Panics
-    /// If there is no such timestep, where the number changes.
+    /// If the number changes over time and there is no such timestep.
     pub fn num_gaussians_at(&self, timestep: usize) -> usize {
         match &self.content {
             Content::File(file) => file.file().num_gaussians_at(timestep),
@@ -303,7 +302,7 @@ impl OpenScene {
         self.first_frame..self.first_frame + self.num_timesteps()
     }
 
-    /// The frames asked for, or all.
+    /// The requested frames, or all.
     ///
     /// # Errors
     /// [`PipelineError::Frames`] if the scene lacks one of them.
@@ -318,8 +317,8 @@ impl OpenScene {
         }
     }
 
-    /// All Gaussians of one timestep, in stored form, before [`Self::light`] is applied; of a run also those that its masks leave
-    /// out. Reads no other timestep.
+    /// All Gaussians of one timestep, in stored form, before [`Self::light`] is applied. For a run this includes
+    /// Gaussians that its masks leave out. Reads no other timestep.
     ///
     /// # Errors
     /// [`PipelineError::Input`] if there is no such timestep; [`PipelineError`] if its file is damaged.
@@ -337,14 +336,14 @@ impl OpenScene {
             }
             Content::Floats { scene, lives: Some(lives), .. } => scene.at(timestep).select(&lives.living(timestep)),
             Content::Floats { scene, .. } => scene.at(timestep),
-            // What a panic elsewhere leaves is a file at another place, and every read begins by seeking its own.
+            // A panic elsewhere leaves the file at another position, and every read begins with a seek.
             Content::Params(params) => params.file.lock().unwrap_or_else(PoisonError::into_inner).at(timestep)?,
             Content::TimestepFiles(files) => files.at(timestep)?,
             Content::Fourdgs(file) => file.at(timestep)?,
         })
     }
 
-    /// [`Self::at`], with colours multiplied by [`Self::light`]: what a renderer draws.
+    /// [`Self::at`], with colours multiplied by [`Self::light`], for a renderer.
     ///
     /// # Errors
     /// As there.
@@ -352,7 +351,7 @@ impl OpenScene {
         Ok(self.at(timestep)?.lit(self.light(timestep)))
     }
 
-    /// One timestep activated, as every camera draws it: of a run without the Gaussians that its masks leave out then.
+    /// One timestep activated, as every camera draws it; for a run without the Gaussians that its masks leave out then.
     ///
     /// # Errors
     /// As [`Self::at`].
@@ -382,12 +381,12 @@ impl OpenScene {
         Err(PipelineError::input(self.path.display(), found, expected))
     }
 
-    /// All timesteps of a scene of floats; who does not live at one stands there as it was born or died. Files of a timestep
-    /// each are checked to continue one another.
+    /// All timesteps of a scene of floats. A Gaussian that does not live at a timestep stands there as it was born or
+    /// died. Sequences of files are checked to continue one another.
     ///
     /// # Errors
-    /// [`PipelineError::Input`] if the scene is compressed; [`PipelineError`] if a file is damaged, or files of a timestep each differ in
-    /// their number of Gaussians.
+    /// [`PipelineError::Input`] if the scene is compressed; [`PipelineError`] if a file is damaged, or the files of a
+    /// sequence differ in their number of Gaussians.
     pub fn floats(&self) -> Result<Cow<'_, DynamicGaussians>, PipelineError> {
         match &self.content {
             Content::File(_) | Content::Symbols(_) => {
@@ -425,7 +424,7 @@ impl OpenScene {
     }
 }
 
-/// Timesteps are read when they are asked for, as by [`OpenScene::at`].
+/// Timesteps are read on demand, as by [`OpenScene::at`].
 impl SceneReader for OpenScene {
     type Error = PipelineError;
 

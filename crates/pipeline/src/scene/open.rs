@@ -1,4 +1,4 @@
-//! Opens scenes: which kind a file or folder is, and what of it is read at once.
+//! Opens scenes: recognises the kind of a file or folder, and reads its beginning.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -17,10 +17,10 @@ use crate::PipelineError;
 /// Kinds of scenes, for messages.
 const EXPECTED: &str = "a .tcgs file, a run folder, a params.npz, a .4dgs file, or PLY, SPZ or glTF files";
 
-/// How a scene is read.
+/// Settings for reading a scene.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct OpenSettings {
-    /// How files of other programs are read.
+    /// Settings for files of other programs.
     pub read: ReadSettings,
     /// Whether a cut `.tcgs` file is read. Default: it is refused.
     pub cut_files: CutFiles,
@@ -32,18 +32,18 @@ pub enum CutFiles {
     /// Refuse the file.
     #[default]
     Refuse,
-    /// Read what is whole: [`SceneFile::recover`]. [`OpenScene::loss`] says what is missing.
+    /// Read the whole segments: [`SceneFile::recover`]. [`OpenScene::loss`] tells the missing ones.
     Recover,
 }
 
 impl OpenScene {
-    /// Opens a scene. The ending of a file's name says its kind, so a damaged file is judged as the kind that it was
-    /// meant to be. If the ending is unknown, the first bytes say the kind.
+    /// Opens a scene. The ending of a file's name decides its kind, so that a damaged file is judged as the intended
+    /// kind. If the ending is unknown, the first bytes decide.
     ///
-    /// The first timestep of a run is read now, and so are the headers of a sequence of files; the rest is read when it
-    /// is asked for. A segment of a `.tcgs` file is decoded when one of its timesteps is asked for. A `params.npz` is
-    /// read through and checked now, and a timestep of it is read again when it is asked for. A compressed one is held
-    /// in memory ([`ParamsNpz`]), and so is a `.4dgs` file.
+    /// Opening reads the first timestep of a run and the headers of a sequence of files; the rest is read on demand. A
+    /// segment of a `.tcgs` file is decoded when one of its timesteps is requested. A `params.npz` is read through and
+    /// checked at once, and its timesteps are read again on demand. A compressed one is held in memory ([`ParamsNpz`]),
+    /// and so is a `.4dgs` file.
     ///
     /// A folder may be the output folder of a program that trains 3D Gaussian splatting, or the folder `point_cloud` in
     /// it. Then the file `iteration_N/point_cloud.ply` of the highest iteration is opened, and [`OpenScene::path`] is
@@ -132,7 +132,7 @@ impl OpenScene {
         let mut scene = open(again, &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES).map_err(decode_error)?;
         let loss = scene.loss().copied();
         let length = loss.map_or(scene.archive().file_bytes(), |loss| loss.bytes);
-        // Data of applications are small, and no segment is: their checksums are verified now.
+        // Data of applications are small and in no segment: their checksums are verified at once.
         let application = scene.archive().application_ranges().into_iter().enumerate();
         for (index, range) in application.filter(|(_, range)| range.end <= length) {
             let mut bytes = Vec::new();
@@ -210,7 +210,7 @@ enum Kind {
     Fourdgs,
 }
 
-/// A file or folder of a kind that is known but not read.
+/// Refuses a file or folder of a kind that is known but not read.
 fn refuse_unread(path: &Path) -> Result<(), PipelineError> {
     UnreadKind::of(path).map_or(Ok(()), |kind| {
         let found = format!("{}, which is not read yet", kind.name);
@@ -218,7 +218,7 @@ fn refuse_unread(path: &Path) -> Result<(), PipelineError> {
     })
 }
 
-/// By its name; else by its first bytes.
+/// The kind by the file's name, or by its first bytes.
 fn kind_of_file(path: &Path) -> Result<Kind, PipelineError> {
     let mut start = Vec::new();
     let read = open_file(path).and_then(|file| file.take(4).read_to_end(&mut start));
@@ -231,7 +231,7 @@ fn kind_of_file(path: &Path) -> Result<Kind, PipelineError> {
         _ if start == b"TCGS" => Ok(Kind::Tcgs),
         _ if start == b"\x894DG" => Ok(Kind::Fourdgs),
         _ => {
-            // A .splat file begins with a position: its first bytes may be any.
+            // A .splat file begins with a position, so its first bytes are arbitrary.
             refuse_unread(path)?;
             let is_known = |known: &&[u8]| start.starts_with(known);
             match &start[..] {

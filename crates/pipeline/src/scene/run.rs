@@ -14,7 +14,7 @@ pub(super) struct RunContent {
     pub run: Run,
     /// The first checkpoint, with the values that the others do not repeat.
     pub first: Checkpoint,
-    /// As [`Run::lives`] gives them.
+    /// As returned by [`Run::lives`].
     pub lives: Option<Lives>,
     pub num_timesteps: usize,
 }
@@ -55,8 +55,8 @@ impl OpenScene {
         }
     }
 
-    /// Folder of the capture that the run was trained on; `None` if the scene is no run, or if a program trained it on
-    /// images of its own.
+    /// Folder of the capture on which the run was trained; `None` if the scene is no run, or was trained on images of a
+    /// program's own.
     pub fn capture(&self) -> Option<&Path> {
         let capture = &self.run()?.config().data.capture;
         (!capture.is_empty()).then(|| Path::new(capture))
@@ -77,7 +77,7 @@ impl OpenScene {
         }
     }
 
-    /// When each Gaussian of a run lives; none where all do at every timestep.
+    /// Lifetimes of a run's Gaussians; none if all live at every timestep.
     pub(crate) fn lives(&self) -> Option<&Lives> {
         match &self.content {
             Content::Run(run) => run.lives.as_ref(),
@@ -101,7 +101,7 @@ impl OpenScene {
             return chapters.first().learned_bits();
         }
         let Content::Run(run) = &self.content else { return Ok(None) };
-        // Bits of the dead, too.
+        // Includes the bits of dead Gaussians.
         let Some(first) = &run.first.quantizers else { return Ok(None) };
         let bit_map = first.bit_map_of(run.num_gaussians());
         let last = run.checkpoint(run.num_timesteps - 1)?;

@@ -6,12 +6,12 @@ use tcgs_core::{Camera, Subject, Tour, add_motion};
 use crate::spread::spread;
 use crate::{OpenScene, PipelineError};
 
-/// Timesteps that are read for what moves.
+/// Number of timesteps that are read to find motion.
 const NUM_TIMESTEPS: usize = 4;
 
 impl OpenScene {
-    /// Cameras of the capture: those that a `.tcgs` file brings along, or the training cameras of a run's capture if that is
-    /// still there. Empty of anything else.
+    /// Cameras of the capture: those in a `.tcgs` file, or the training cameras of a run's capture if that still
+    /// exists. Empty for anything else.
     ///
     /// # Errors
     /// [`PipelineError::Decode`] if the file cannot be read.
@@ -27,8 +27,7 @@ impl OpenScene {
         Ok(cameras().unwrap_or_default().into_iter().map(|(_, camera)| camera).collect())
     }
 
-    /// The subject of the scene at a timestep. To learn what moves it reads at most four other timesteps, as far as they can
-    /// be read.
+    /// The subject of the scene at a timestep. To find what moves, at most four other readable timesteps are read.
     ///
     /// - `cameras`: of the capture; may be empty
     ///
@@ -38,7 +37,7 @@ impl OpenScene {
         let (now, living) = (self.at(timestep)?, self.living(timestep)?);
         let mut moved = vec![0.0; now.num_gaussians()];
         for other in spread(self.num_timesteps(), NUM_TIMESTEPS).filter(|&other| other != timestep) {
-            // One that cannot be read says nothing about this one: it is refused when it is drawn.
+            // An unreadable timestep does not concern this one; drawing it reports the error.
             let (Ok(then), Ok(living_then)) = (self.at(other), self.living(other)) else { continue };
             let pairs: Vec<(usize, usize)> = match (&living, living_then) {
                 (Some(now), Some(then)) => {
@@ -54,7 +53,7 @@ impl OpenScene {
 
     /// Cameras at equal steps on a path around the subject, among the cameras of its capture ([`Tour::among`]).
     ///
-    /// - `timestep`: the first that the path shows
+    /// - `timestep`: the first one on the path
     /// - `count`: number of cameras
     /// - `size`: width and height of their images, pixels
     ///

@@ -6,16 +6,17 @@ use tcgs_train::{Checkpoint, Lifetimes, Parameters, Pose, Run, TrainConfig, Trai
 
 use crate::{Backend, OpenScene, PipelineError, capture_for};
 
-/// The state of a scene at a timestep, as a run starts from it ([`continued_trainer`]).
+/// The state of a scene at a timestep, from which a run can start ([`continued_trainer`]).
 ///
-/// From a run masks, quantizers and the gains of cameras carry over. The optimizer's state carries over if the timestep
-/// is one of the run's last two; otherwise the optimizer starts without a state. With any other scene masks begin as
-/// the settings say, nothing is quantised, cameras have no gains, and all Gaussians are foreground unless the scene
-/// says otherwise.
+/// From a run, masks, quantizers and the gains of cameras carry over. The optimizer's state carries over if the
+/// timestep is one of the run's last two; otherwise the optimizer starts without a state. For any other scene, masks
+/// begin as the settings say, nothing is quantised, and cameras have no gains. All Gaussians are then foreground unless
+/// the scene says otherwise.
 ///
 /// # Errors
 /// [`PipelineError::Input`] if the scene has no such timestep, no Gaussian or spherical harmonics, or was trained with
-/// another number of cameras, or the settings ask for spherical harmonics; [`PipelineError`] if a file of the scene or the capture's cameras cannot be read.
+/// another number of cameras, or the settings ask for spherical harmonics; [`PipelineError`] if a file of the scene or
+/// the capture's cameras cannot be read.
 pub fn start_state(
     scene: &OpenScene,
     timestep: usize,
@@ -57,7 +58,7 @@ pub fn start_state(
     if !config.quantize.enabled {
         start.quantizers = None;
     }
-    // All that live now are there from the chapter's first timestep to its last.
+    // All Gaussians that live at the start exist from the chapter's first timestep to its last.
     start.lifetimes = Lifetimes::new(start.parameters.num_gaussians());
     start.born = Pose::default();
     start.gate.unseen.clear();

@@ -16,26 +16,27 @@ use crate::{Event, Observer, PipelineError, Work};
 
 /// Most points of a timestep's loss curve.
 const MAX_CURVE_POINTS: usize = 100;
-/// Iterations that the losses of a timestep are averaged over: single ones depend on their camera.
+/// Iterations over which the losses of a timestep are averaged: single ones depend on their camera.
 const AVERAGED_ITERATIONS: usize = 50;
-/// Fewer points to start from are worth a warning: density control splits what is there, and does not reach what lies
-/// far from every point. On the capture of `tcgs demo`, two timesteps trained from 8000 of its points come to 32.9 dB,
-/// from 1000 to 28.3 dB, from 400 to 18.6 dB, and from 200 or 66 to less than 5.5 dB with hardly a Gaussian left.
+/// A start from fewer points than this earns a warning. Density control splits existing Gaussians and does not reach
+/// places far from every point. On the capture of `tcgs demo`, two timesteps trained from 8000 of its points reach 32.9
+/// dB, from 1000 points 28.3 dB, and from 400 points 18.6 dB. From 200 or 66 points they reach less than 5.5 dB with
+/// hardly a Gaussian left.
 const FEW_POINTS: usize = 1000;
 
-/// Trains the timesteps that a run still lacks, and writes metrics and checkpoint of each. The images of the next
-/// timestep are prefetched in a thread of their own.
+/// Trains the timesteps that a run still lacks, and writes metrics and checkpoint of each. A separate thread prefetches
+/// the images of the next timestep.
 ///
 /// Metrics are written before the checkpoint, so that a timestep with a checkpoint has its metrics.
 ///
-/// A call that is stopped leaves a whole run of the timesteps finished before: the unfinished one has no checkpoint,
-/// its iterations are lost, and [`Run::resume_with`] goes on with the same bytes as a run that was never stopped.
+/// A stopped call leaves a whole run of the timesteps finished before. The unfinished timestep has no checkpoint, and
+/// its iterations are lost. [`Run::resume_with`] goes on with the same bytes as an uninterrupted run.
 ///
 /// - `trainer`: after the timesteps that the run has
 ///
 /// # Errors
-/// [`PipelineError::Stopped`] if the observer broke off; [`PipelineError`] if a frame cannot be read, the training fails
-/// or the disk is full.
+/// [`PipelineError::Stopped`] if the observer broke off; [`PipelineError`] if a frame cannot be read, the training
+/// fails or the disk is full.
 pub fn fit(
     capture: &Capture,
     run: &Run,
@@ -56,7 +57,7 @@ pub fn fit(
     tell(observer, Event::Begun { work: Work::Training, num_steps })?;
     let mut num_done = 0;
     std::thread::scope(|scope| {
-        // Holds nothing: the loader is one frame ahead, waiting to hand it over.
+        // The channel has no buffer: the loader is one frame ahead, waiting to hand it over.
         let (send, receive) = sync_channel(0);
         let downscale = config.data.downscale;
         let wanted = frames.clone();
@@ -83,7 +84,7 @@ pub fn fit(
             let mut record = Record::default();
             trainer.fit(&loaded.train, &mut |p| -> ControlFlow<()> {
                 record.add(p.iterations, p.iteration, p.loss, &p.terms.terms(&config.weights));
-                // The gate may give a timestep fewer iterations than `steps`: each then counts for more than one step.
+                // The gate may give a timestep fewer iterations than `steps`; each then counts for more than one step.
                 let num_done = num_done + steps * (p.iteration + 1) / p.iterations;
                 observer.hear(&Event::Iteration { progress: p, num_done })
             })?;
@@ -100,12 +101,12 @@ pub fn fit(
     })
 }
 
-/// The loader hands over every frame or an error, so this tells of a panic there.
+/// The loader hands over every frame or an error, so this reports a panic there.
 fn loader_ended(capture: &Capture, frame: usize) -> PipelineError {
     PipelineError::input(capture.name(), format!("no images of frame {frame}"), "a frame that can be decoded")
 }
 
-/// What one timestep is trained on, and judged by.
+/// Views of one timestep, for training and for judging.
 struct LoadedFrame {
     train: Arc<[View]>,
     test: Arc<[View]>,
@@ -125,11 +126,11 @@ type Losses = (f64, Vec<f64>);
 #[derive(Default)]
 struct Record {
     iterations: usize,
-    /// Iterations that a point of the curve is the mean of.
+    /// Number of iterations per point of the curve.
     stretch: usize,
     /// Last iteration and mean loss of each stretch.
     curve: Vec<(usize, f64)>,
-    /// Of the stretch under way: iterations, sum of losses.
+    /// The current stretch: iterations, sum of losses.
     open: (usize, f64),
     /// Losses of the last iterations, the newest last.
     last: VecDeque<Losses>,
@@ -161,7 +162,7 @@ impl Record {
 
     /// Mean of a loss over the last iterations.
     fn mean(&self, loss: impl Fn(&Losses) -> f64) -> f64 {
-        // A timestep in which nothing changed has no iterations, and no losses.
+        // A timestep without changes has no iterations and no losses.
         self.last.iter().map(loss).sum::<f64>() / self.last.len().max(1) as f64
     }
 

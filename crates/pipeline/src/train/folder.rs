@@ -1,4 +1,4 @@
-//! The folder that a run is written to: recognised, locked, cleared, and continued.
+//! The folder of a run: recognised, locked, cleared, and continued.
 
 use std::fs::{self, File};
 use std::io;
@@ -16,16 +16,16 @@ const OURS: [&str; 6] = ["scene.tcgs", "metrics.jsonl", "resume0.npz", "resume1.
 /// Ending of the names of checkpoints that were set aside.
 const DAMAGED: &str = ".damaged";
 
-/// A folder that is open and locked as long as the file lives, or none if another process has locked it.
+/// An open folder, locked as long as the file lives; none if another process has locked it.
 #[cfg(not(windows))]
 fn open_locked(folder: &Path) -> io::Result<Option<File>> {
     let file = File::open(folder)?;
-    // A drive may know no locks: any other error is as good as a lock.
+    // Some drives have no locks: any other error counts as a lock.
     let is_taken = matches!(file.try_lock(), Err(fs::TryLockError::WouldBlock));
     Ok((!is_taken).then_some(file))
 }
 
-/// The same on Windows, which has no locks of folders: the folder itself is opened to write, and shared with no other
+/// The same on Windows, which cannot lock folders. The folder itself is opened for writing and shared with no other
 /// writer. Listing the folder and opening its files need no such right.
 #[cfg(windows)]
 fn open_locked(folder: &Path) -> io::Result<Option<File>> {
@@ -42,7 +42,7 @@ fn open_locked(folder: &Path) -> io::Result<Option<File>> {
     }
 }
 
-/// A run folder, locked: a run is written by one process at a time.
+/// A run folder, locked: one process at a time writes a run.
 ///
 /// ```
 /// use tcgs_pipeline::RunFolder;
@@ -65,13 +65,13 @@ pub struct RunFolder {
 }
 
 impl RunFolder {
-    /// Whether the place of a run holds one already; if not, it is free to begin one.
+    /// Whether the place of a run already holds one; if not, a run may begin there.
     ///
     /// # Errors
     /// [`PipelineError::Input`] if it is a file, or a folder with other things in it.
     pub fn holds_run(folder: &Path) -> Result<bool, PipelineError> {
         let expected = "a run, an empty folder or a new name";
-        // Other programs have a config.toml and a folder of checkpoints, too. Every run names its frames.
+        // Other programs also have a config.toml and a folder of checkpoints. Every run names its frames.
         if Run::is_run(folder) {
             return match Run::open(folder) {
                 Ok(run) if run.config().data.end_frame > 0 => Ok(true),
@@ -88,7 +88,7 @@ impl RunFolder {
         if !folder.is_dir() {
             return Err(PipelineError::input(folder.display(), "is a file", "the name of a folder"));
         }
-        // A run stopped before its first file is no more than an empty folder or two.
+        // A run stopped before its first file leaves only an empty folder or two.
         let is_empty = |entry: &fs::DirEntry| {
             let name = entry.file_name();
             is_unfinished(&name)
@@ -103,7 +103,7 @@ impl RunFolder {
         Ok(false)
     }
 
-    /// Locks a run folder until dropped. On network drives without locks it is taken without one.
+    /// Locks a run folder until dropped. Network drives without locks are accepted unlocked.
     ///
     /// # Errors
     /// [`PipelineError::Input`] if another process has locked it; [`PipelineError::Unreadable`] if there is none.
@@ -118,7 +118,7 @@ impl RunFolder {
         }
     }
 
-    /// Makes a run's folder and locks it. A folder that was made is removed again if the value is dropped before a run
+    /// Creates a run's folder and locks it. A created folder is removed again if the value is dropped before a run
     /// begins.
     ///
     /// # Errors
@@ -132,7 +132,7 @@ impl RunFolder {
         Ok(locked)
     }
 
-    /// Removes what a run wrote, and nothing else. Stopped half-way it leaves a run that is shorter.
+    /// Removes the files that a run wrote, and nothing else. An interrupted call leaves a shorter run.
     ///
     /// # Errors
     /// [`PipelineError::Unwritable`] if a file cannot be removed.
@@ -151,7 +151,7 @@ impl RunFolder {
         OURS.iter().try_for_each(|name| remove(self.path.join(name)))
     }
 
-    /// Removes what a killed process was about to rename. Nobody else writes here: the folder is locked.
+    /// Removes the temporary files of a killed process. The lock excludes other writers.
     ///
     /// # Errors
     /// [`PipelineError::Unwritable`] if a file cannot be removed.
@@ -163,8 +163,8 @@ impl RunFolder {
                 if !is_unfinished(&entry.file_name()) {
                     continue;
                 }
-                // Earlier versions wrote files of such names; a process killed right at the beginning or end leaves a
-                // folder with nothing in it, or with a mark that is still empty.
+                // Old versions wrote temporary files of such names. A process killed right at the beginning or end
+                // leaves an empty folder, or one with an empty mark.
                 match entry.file_type() {
                     Ok(kind) if kind.is_file() => remove(entry.path())?,
                     Ok(kind) if kind.is_dir() => remove_hollow(&entry.path()),
@@ -175,14 +175,15 @@ impl RunFolder {
         Ok(())
     }
 
-    /// The trainer after the last whole checkpoint; none if no timestep is finished. A last checkpoint that is damaged, or
-    /// whose optimizer's state is, is renamed, told as [`Event::SetAside`], and its timestep is to be trained again.
+    /// The trainer after the last whole checkpoint; none if no timestep is finished. A damaged last checkpoint, or one
+    /// with a damaged optimizer's state, is renamed and reported as [`Event::SetAside`]. Its timestep must then be
+    /// trained again.
     ///
     /// - `run`: the run in this folder
     ///
     /// # Errors
-    /// [`PipelineError::Train`] if another checkpoint than the last is damaged; [`PipelineError::Stopped`] if the observer
-    /// broke off.
+    /// [`PipelineError::Train`] if a checkpoint other than the last is damaged; [`PipelineError::Stopped`] if the
+    /// observer broke off.
     pub fn resume(
         &self,
         run: &Run,
@@ -196,7 +197,8 @@ impl RunFolder {
             };
             let finished = run.timesteps();
             let last = run.checkpoint_path(finished.saturating_sub(1));
-            // The other of the two states leads back to this timestep; were it gone too, none would be left in the end.
+            // The other of the two states allows resuming from this timestep. Without it, setting aside could leave
+            // none.
             let has_other_state = || match finished {
                 0 | 1 => true,
                 2 => run.resumable(0, None).is_ok(),
@@ -224,7 +226,7 @@ impl Drop for RunFolder {
         let _ = self.clear();
         let _ = fs::remove_dir(self.path.join("checkpoints"));
         for folder in self.path.ancestors() {
-            // If it is not empty, another process uses it by now.
+            // A folder that is not empty is in use by another process.
             if fs::remove_dir(folder).is_err() || folder == made {
                 break;
             }
@@ -232,7 +234,7 @@ impl Drop for RunFolder {
     }
 }
 
-/// Removes a folder that holds nothing but empty files. What cannot be removed stays.
+/// Removes a folder that holds nothing but empty files. A file that cannot be removed stays.
 fn remove_hollow(folder: &Path) {
     let entries = fs::read_dir(folder).and_then(Iterator::collect::<io::Result<Vec<_>>>).unwrap_or_default();
     let is_empty = |entry: &fs::DirEntry| entry.metadata().is_ok_and(|found| found.is_file() && found.len() == 0);
@@ -252,7 +254,7 @@ fn remove(path: PathBuf) -> Result<(), PipelineError> {
     }
 }
 
-/// Whether a file of the folder `checkpoints` is one, whole or damaged.
+/// Whether a file of the folder `checkpoints` is a checkpoint, whole or damaged.
 fn is_checkpoint(path: &Path) -> bool {
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let name = name.strip_suffix(DAMAGED).unwrap_or(&name);
@@ -295,13 +297,13 @@ mod tests {
         fs::write(run.join("config.toml"), b"").unwrap();
         drop(folder);
         assert!(run.join("config.toml").exists());
-        // A folder that was there stays.
+        // An already existing folder stays.
         fs::remove_file(run.join("config.toml")).unwrap();
         drop(RunFolder::make(&run).unwrap());
         assert!(run.is_dir());
     }
 
-    /// Other programs have files of this name, too. The command line has a test with a true start.
+    /// Other programs also have files of this name. The command line has a test with a true start.
     #[test]
     fn a_start_is_a_checkpoint() {
         let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! From settings to a run that can be trained: begun, or gone on with.
+//! From settings to a run that can be trained: begun or resumed.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use tcgs_train::{Checkpoint, Run, TrainConfig, Trainer};
 use super::{RunFolder, continued_trainer, new_trainer};
 use crate::{Backend, Observer, PipelineError, capture_for};
 
-/// A run that is ready for [`fit`](crate::fit). Its folder is locked as long as this lives.
+/// A run that is ready for [`fit`](crate::fit). Its folder is locked while this lives.
 #[derive(Debug)]
 pub struct ReadyRun {
     /// The capture that [`fit`](crate::fit) trains it on: the cameras of `data.hold_out` are test cameras.
@@ -23,8 +23,7 @@ pub struct ReadyRun {
 }
 
 impl ReadyRun {
-    /// Begins a run. An earlier run in the folder is removed, after everything that can be wrong with the input was
-    /// looked for.
+    /// Begins a run. An existing run in the folder is removed after all checks of the input.
     ///
     /// - `existing`: whether there may be an earlier run
     /// - `start`: the state that the run continues ([`start_state`](crate::start_state)); none to start from points
@@ -47,7 +46,7 @@ impl ReadyRun {
             None => new_trainer(config, capture, backend)?,
         };
         let folder = RunFolder::make(path)?;
-        // Another process may have begun and ended a run since the caller looked.
+        // Another process may have begun and ended a run since the caller's check.
         if RunFolder::holds_run(path)? && existing == Existing::Keep {
             return Err(PipelineError::input(path.display(), "holds a run by now", "a new name"));
         }
@@ -59,13 +58,14 @@ impl ReadyRun {
         Ok(Self { capture, run: Run::create(path, config)?, trainer, folder })
     }
 
-    /// Goes on with a run after its last whole checkpoint ([`RunFolder::resume`]).
+    /// Resumes a run after its last whole checkpoint ([`RunFolder::resume`]).
     ///
-    /// - `change`: from the run's settings to those to go on with, of which only the end of the frames may differ
+    /// - `change`: maps the run's settings to new ones, of which only the end of the frames may differ
     ///
     /// # Errors
     /// [`PipelineError::Input`] if another setting differs, or the new end is before a timestep that is trained;
-    /// [`PipelineError::Frames`] if the capture lacks a frame; as [`RunFolder::lock`] and [`RunFolder::resume`]; what `change` returns.
+    /// [`PipelineError::Frames`] if the capture lacks a frame; as [`RunFolder::lock`] and [`RunFolder::resume`]; the
+    /// errors of `change`.
     pub fn resume<E: From<PipelineError>>(
         path: &Path,
         change: impl FnOnce(&TrainConfig) -> Result<TrainConfig, E>,

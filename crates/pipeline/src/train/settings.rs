@@ -1,17 +1,17 @@
-//! What each kind of capture asks of the training settings.
+//! Training settings for each kind of capture.
 
 use tcgs_capture::Capture;
 use tcgs_train::{Preset, TrainConfig};
 
-/// Learning rate of scales in which Dynamic 3D Gaussians, and the paper after it, were compared on scenes without
-/// depth cameras; see `docs/PAPER.md`.
+/// Learning rate of scales with which Dynamic 3D Gaussians and the paper were compared on scenes without depth cameras;
+/// see `docs/PAPER.md`.
 const LOG_SCALE_RATE: f32 = 0.005;
 
-/// Weight of the loss that holds what shows no change, where nothing else says what moves.
+/// Weight of the loss on stillness (`weights.stillness`) if the capture does not label motion.
 const STILLNESS: f32 = 0.5;
 
-/// The settings of a preset, as a capture of this kind needs them: its frames and frame rate, and no losses on what it
-/// does not have (a floor, masks). Where no masks say what moves, what shows no change is held (`weights.stillness`).
+/// The settings of a preset, adapted to a capture: its frames and frame rate. Losses without data in the capture (a
+/// floor, masks) are off. If no masks label motion, the loss `weights.stillness` holds unchanged content.
 ///
 /// - returns: settings whose `data.capture` is still empty
 pub fn settings_for(preset: Preset, capture: &Capture) -> TrainConfig {
@@ -24,7 +24,7 @@ pub fn settings_for(preset: Preset, capture: &Capture) -> TrainConfig {
         config.weights.floor = 0.0;
     }
     if !facts.labels_motion {
-        // Nothing says what moves.
+        // No labels of motion.
         config.weights.segmentation = 0.0;
         config.weights.background = 0.0;
         if config.gate.enabled {

@@ -1,28 +1,28 @@
-//! Which Gaussian of a file is which of the scene that was compressed: pairs within the declared errors, one to one.
+//! Matches the Gaussians of a file with those of the compressed scene: one-to-one pairs within the declared errors.
 //!
-//! A file says nothing of it. Encoders reorder Gaussians, and leave some out.
+//! A file does not record the pairs. Encoders reorder Gaussians, and leave some out.
 
 use tcgs_codec::attribute_error;
 use tcgs_core::{Activation, Attribute, Column, Gaussians};
 
 use super::tree::Tree;
 
-/// Differences that count alike where none are declared: of rotations, radians; of logarithms of scales; of opacities from
-/// 0 to 1; of colours and all else. Those of positions are measured by the sizes of the Gaussians.
+/// Differences of equal importance where no error is declared: of rotations in radians, of logarithms of scales, of
+/// opacities from 0 to 1, of colours and all else. Positions are measured by the sizes of the Gaussians.
 const TYPICAL: [f64; 4] = [0.3, 0.5, 0.2, 0.15];
 
-/// What holds for all timesteps: the bounds that make two Gaussians a pair, and what differences are measured by.
+/// Constants over all timesteps: the bounds within which two Gaussians make a pair.
 pub struct Bounds {
-    /// Of each column in the order of the layout: the largest error of a pair; infinite if none is declared.
+    /// `[columns]` in the order of the layout: the largest error of a pair; infinite if none is declared.
     largest: Vec<f64>,
 }
 
 /// Pairs at a timestep.
 #[derive(Default)]
 pub struct Pairs {
-    /// For each Gaussian of the file that of the source, if there is one left.
+    /// For each Gaussian of the file, its partner in the source, if one is left.
     pub partners: Vec<Option<u32>>,
-    /// Gaussians of the file to which none of the source is within the bounds.
+    /// Gaussians of the file without a Gaussian of the source within the bounds.
     pub num_beyond: usize,
 }
 
@@ -41,7 +41,7 @@ impl Bounds {
 
     /// Finds the pairs of a timestep.
     ///
-    /// - `before`: those of the timestep before; looked at first, since most Gaussians stay in their places of both
+    /// - `before`: pairs of the timestep before; tried first, since most Gaussians keep their places in both
     pub fn pairs(&self, source: &Gaussians, file: &Gaussians, before: &Pairs) -> Pairs {
         let mut matching = Matching::new(self, source, file);
         if self.is_known() {
@@ -52,24 +52,24 @@ impl Bounds {
             matching.augment();
         }
         let num_beyond = matching.partners.iter().filter(|partner| partner.is_none()).count();
-        // What is left is paired for the table alone.
+        // The rest is paired only for the table.
         matching.take_nearest(&vec![f64::INFINITY; self.largest.len()]);
         Pairs { partners: matching.partners, num_beyond }
     }
 }
 
-/// Pairs in the making.
+/// Pairs under construction.
 struct Matching<'a> {
     bounds: &'a Bounds,
     source: &'a Gaussians,
     file: &'a Gaussians,
-    /// Of each column what differences are measured by.
+    /// `[columns]` the unit in which differences are measured.
     units: Vec<f64>,
-    /// For each Gaussian of the file that of the source.
+    /// For each Gaussian of the file, its partner in the source.
     partners: Vec<Option<u32>>,
-    /// For each Gaussian of the source that of the file.
+    /// For each Gaussian of the source, its partner in the file.
     owners: Vec<Option<u32>>,
-    /// Of the source's means, made when it is needed.
+    /// A tree over the source's means, made on demand.
     tree: Option<Tree>,
 }
 
@@ -89,8 +89,8 @@ impl<'a> Matching<'a> {
         }
     }
 
-    /// Sum of squares of the errors of a pair, each in its unit; none if one is beyond its bound, or the sum is not below
-    /// the least.
+    /// Sum of squares of the errors of a pair, each in its unit. None if an error exceeds its bound, or if the sum is
+    /// not below `least`.
     fn cost(&self, row: usize, partner: usize, largest: &[f64], least: f64) -> Option<f64> {
         let mut cost = 0.0;
         for ((column, largest), unit) in self.source.layout().columns().iter().zip(largest).zip(&self.units) {
@@ -111,7 +111,7 @@ impl<'a> Matching<'a> {
         self.owners[partner] = Some(row as u32);
     }
 
-    /// Takes over pairs of the timestep before that are still within the bounds.
+    /// Keeps pairs of the timestep before that are still within the bounds.
     fn repeat(&mut self, before: &Pairs) {
         for row in 0..self.partners.len().min(before.partners.len()) {
             let partner = before.partners[row].map(|partner| partner as usize);
@@ -123,7 +123,7 @@ impl<'a> Matching<'a> {
         }
     }
 
-    /// Pairs each Gaussian of the file that has no partner with the nearest of the source that has none.
+    /// Pairs each unpaired Gaussian of the file with the nearest unpaired one of the source.
     fn take_nearest(&mut self, largest: &[f64]) {
         if self.partners.iter().all(Option::is_some) {
             return;
@@ -141,7 +141,7 @@ impl<'a> Matching<'a> {
                 {
                     best = (cost, Some(partner));
                 }
-                // The distance alone costs more beyond.
+                // Beyond this distance, the distance alone costs more.
                 largest[mean].min(self.units[mean] * best.0.sqrt())
             });
             if let Some(partner) = best.1 {
@@ -151,12 +151,12 @@ impl<'a> Matching<'a> {
         self.tree = Some(tree);
     }
 
-    /// Finds partners for those that are left by giving others another partner within the bounds: augmenting paths, depth
-    /// first. As many pairs result as there can be.
+    /// Finds partners for the remaining Gaussians by moving others to another partner within the bounds: augmenting
+    /// paths, depth first. The number of pairs is then maximal.
     fn augment(&mut self) {
         let Some(tree) = self.tree.take() else { return };
         let mut is_visited = vec![false; self.owners.len()];
-        // From where each Gaussian of the source was reached.
+        // The Gaussian of the file from which each one of the source was reached.
         let mut reached_from = vec![0; self.owners.len()];
         for row in 0..self.partners.len() {
             if self.partners[row].is_some() {
@@ -179,7 +179,7 @@ impl<'a> Matching<'a> {
                     distance
                 });
             }
-            // Without an end, no path from what was visited leads to one, now or later.
+            // Without a free end, no path through visited Gaussians leads to one later either.
             while let Some(partner) = end {
                 let row_before = reached_from[partner];
                 end = self.partners[row_before].map(|partner| partner as usize);
@@ -194,7 +194,7 @@ impl<'a> Matching<'a> {
     }
 }
 
-/// What differences of a column are measured by where none is declared.
+/// The unit in which differences of a column are measured if no error is declared.
 fn typical_difference(column: &Column, source: &Gaussians) -> f64 {
     let [rotation, scale, opacity, other] = TYPICAL;
     match (column.attribute, column.activation) {
@@ -236,7 +236,7 @@ mod tests {
         assert_eq!(pairs(&[0.0, 1.0, 2.0, 3.0], &[2.25, 0.0], 0.25), (vec![Some(2), Some(0)], 0));
         assert_eq!(pairs(&[], &[], 0.25), (vec![], 0));
         assert_eq!(pairs(&[0.5], &[], 0.0), (vec![], 0));
-        // Equal ones are as good as each other, but no two are the same.
+        // Equal Gaussians are interchangeable, but no two share a partner.
         let (partners, beyond) = pairs(&[1.0; 40], &[1.0; 40], 0.0);
         let mut partners: Vec<u32> = partners.into_iter().flatten().collect();
         partners.sort_unstable();

@@ -1,5 +1,5 @@
-//! Compares a `.tcgs` file with the scene that was compressed: whether its errors are those that it declares. What does
-//! not live here: what an error is (`tcgs_codec::attribute_error`).
+//! Compares a `.tcgs` file with the compressed scene: its errors must be within the declared ones. What does not live
+//! here: the definition of an error (`tcgs_codec::attribute_error`).
 
 mod matching;
 mod tree;
@@ -11,12 +11,11 @@ use self::matching::{Bounds, Pairs};
 use crate::observe::tell;
 use crate::{Event, Observer, OpenScene, PipelineError, Work};
 
-/// Memory for decoding all of a long file, bytes for each byte of the file. Scenes of few timesteps with harmonics need
-/// twenty.
+/// Bytes of memory per byte of a long file, to decode all of it. Scenes of few timesteps with harmonics need twenty.
 const MAX_EXPANSION_OF_LONG: u64 = 32;
 
-/// The limits for decoding all of a file at once, by `tcgs verify`, and before a compressed scene is returned. A player
-/// decodes a segment at a time, within lower limits.
+/// The limits for decoding a whole file at once, for `tcgs verify` and before a compressed scene is returned. A player
+/// decodes one segment at a time, within lower limits.
 ///
 /// - `file_bytes`: length of the file
 pub fn whole_file_limits(file_bytes: u64) -> DecodeLimits {
@@ -25,18 +24,18 @@ pub fn whole_file_limits(file_bytes: u64) -> DecodeLimits {
     DecodeLimits { max_bytes, ..limits }
 }
 
-/// What a comparison found.
+/// The result of a comparison.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Comparison {
     /// In the order of the layout.
     pub attributes: Vec<Compared>,
-    /// Timesteps that were compared: all.
+    /// Number of compared timesteps: all.
     pub num_timesteps: usize,
-    /// Gaussians of the file, those of all timesteps together.
+    /// Number of Gaussians of the file, summed over all timesteps.
     pub num_gaussians: u64,
-    /// Of these, those to which no Gaussian of the source is within the declared errors.
+    /// Number of these without a Gaussian of the source within the declared errors.
     pub num_beyond: u64,
-    /// Fewest and most Gaussians of the source at a timestep of which the file has none: they were pruned.
+    /// Fewest and most Gaussians of the source at a timestep without a partner in the file: they were pruned.
     pub num_pruned: [usize; 2],
 }
 
@@ -47,27 +46,28 @@ pub struct Compared {
     pub name: String,
     /// Its largest error as the file declares it; none if it does not.
     pub declared: Option<f32>,
-    /// The largest that was found, in the unit of [`tcgs_codec::attribute_error`].
+    /// The largest error found, in the unit of [`tcgs_codec::attribute_error`].
     pub found: f64,
 }
 
 impl Compared {
-    /// Whether an error is declared, and none that was found is larger.
+    /// Whether an error is declared and no error found is larger.
     pub fn holds(&self) -> bool {
         self.declared.is_some_and(|declared| self.found <= f64::from(declared))
     }
 }
 
 impl Comparison {
-    /// Whether the file declares an error of every attribute, and every Gaussian of it is one of the source within these.
+    /// Whether the file declares an error for every attribute and every Gaussian of it has one of the source within
+    /// these.
     pub fn holds(&self) -> bool {
         self.num_beyond == 0 && self.attributes.iter().all(Compared::holds)
     }
 }
 
-/// Compares a file with what was compressed, timestep by timestep. Each Gaussian of the file is paired with one of the
-/// source, no two with the same: one within the declared errors in all attributes if there is one, else the nearest
-/// that is left. Every timestep is told as [`Event::Frame`].
+/// Compares a file with its source, timestep by timestep. Each Gaussian of the file is paired with one of the source,
+/// no two with the same. The partner is within the declared errors of all attributes if possible; otherwise it is the
+/// nearest one left. Every timestep is reported as [`Event::Frame`].
 ///
 /// ```
 /// use tcgs_core::{DynamicGaussians, Gaussians};
@@ -93,7 +93,7 @@ impl Comparison {
 pub fn compare(file: &OpenScene, source: &OpenScene, observer: &mut dyn Observer) -> Result<Comparison, PipelineError> {
     let (layout, num_timesteps) = (SceneReader::layout(file).clone(), file.num_timesteps());
     let expected_as = |what: String| format!("{what} as {}", file.path.display());
-    // The layout of a file of no Gaussians says nothing.
+    // The layout of a file without Gaussians carries no information.
     if *SceneReader::layout(source) != layout && file.num_gaussians() > 0 {
         let found = format!("has the columns {}", SceneReader::layout(source));
         return Err(PipelineError::input(source.path.display(), found, expected_as(layout.to_string())));

@@ -2,19 +2,19 @@
 
 use std::ops::Range;
 
-/// Points that are looked at one by one.
+/// Most points of a leaf, which are tested one by one.
 const LEAF: usize = 12;
 
 /// A tree over points, which it does not move.
 pub struct Tree {
-    /// Rows of the points, those of every subtree together.
+    /// Rows of the points; a subtree's rows are adjacent.
     rows: Vec<u32>,
-    /// Of the subtree at a place its axis and where it is split; the two below place `i` are at `2 i + 1` and `2 i + 2`.
+    /// Axis and split position of each subtree. The two children of node `i` are nodes `2 i + 1` and `2 i + 2`.
     splits: Vec<(usize, f32)>,
 }
 
 impl Tree {
-    /// - `points`: at most 2^32, also such as are not finite
+    /// - `points`: at most 2^32; they need not be finite
     pub fn new(points: &[[f32; 3]]) -> Self {
         let mut tree = Self { rows: (0..points.len() as u32).collect(), splits: Vec::new() };
         tree.split(points, 0, 0..points.len());
@@ -47,9 +47,9 @@ impl Tree {
         self.split(points, 2 * place + 2, middle..range.end);
     }
 
-    /// Visits the points within a distance, near ones first about, and some others.
+    /// Visits the points within a distance, near ones roughly first, and some others.
     ///
-    /// - `take`: is given a row, and returns the distance that matters from then on
+    /// - `take`: receives a row, and returns the distance for the rest of the search
     pub fn visit(&self, point: [f32; 3], distance: f64, take: &mut impl FnMut(usize) -> f64) {
         self.visit_subtree(0, 0..self.rows.len(), point, distance, take);
     }

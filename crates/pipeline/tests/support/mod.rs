@@ -1,4 +1,4 @@
-//! A small capture and what comes of it.
+//! A small capture, and a run and files made from it.
 
 use std::fs;
 use std::path::Path;
@@ -12,7 +12,7 @@ use tcgs_pipeline::{
 };
 use tcgs_train::{Preset, Run};
 
-/// A folder with `capture`, `run` of three timesteps, `params.npz`, `scene.tcgs` and `plys`; nobody writes to it.
+/// A folder with `capture`, `run` of three timesteps, `params.npz`, `scene.tcgs` and `plys`; tests do not write to it.
 pub fn files() -> &'static Path {
     static FILES: OnceLock<tempfile::TempDir> = OnceLock::new();
     FILES
@@ -52,7 +52,7 @@ pub fn files() -> &'static Path {
         .path()
 }
 
-/// Opens a scene that there is.
+/// Opens an existing scene.
 pub fn open(path: &Path) -> OpenScene {
     OpenScene::open(path, OpenSettings::default()).unwrap()
 }

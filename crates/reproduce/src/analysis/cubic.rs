@@ -1,8 +1,8 @@
-//! Cubic curves through keypoints (Catmull-Rom), to weigh them against straight lines.
+//! Cubic curves through keypoints (Catmull-Rom), compared with straight lines.
 
 /// Algorithm 1 with a cubic curve between keypoints: their indices, and the squared error summed over time.
 ///
-/// - `max_mse`: mean squared error to stop at
+/// - `max_mse`: mean squared error at which to stop
 pub fn select(track: &[f32], max_mse: f32) -> (Vec<usize>, f64) {
     let mut indices = vec![0, track.len() - 1];
     loop {
@@ -19,7 +19,8 @@ pub fn select(track: &[f32], max_mse: f32) -> (Vec<usize>, f64) {
     }
 }
 
-/// Cubic Hermite curves whose tangent at a keypoint is the slope between its neighbours, at the ends that of the chord.
+/// Cubic Hermite curves. The tangent at a keypoint is the slope between its neighbours, or that of the chord at the
+/// ends.
 fn curve(track: &[f32], indices: &[usize]) -> Vec<f64> {
     let value = |k: usize| f64::from(track[indices[k]]);
     let slope = |k: usize| {

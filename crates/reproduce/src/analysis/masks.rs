@@ -1,4 +1,4 @@
-//! How masks move over time.
+//! Changes of masks over time.
 
 use tcgs_core::sigmoid;
 
@@ -10,7 +10,7 @@ use crate::report::plot::{Axes, Line};
 const SHOWN: usize = 4;
 
 /// - `logits`: `[T][N]`
-/// - `threshold`: above which a Gaussian is drawn
+/// - `threshold`: a Gaussian whose mask exceeds it is drawn
 pub fn analyse(logits: &[Vec<f32>], threshold: f32) -> Findings {
     let (t, n) = (logits.len(), logits.first().map_or(0, Vec::len));
     if n == 0 {

@@ -1,4 +1,4 @@
-//! What a result says that neither `compress` nor `eval` measures: how tracks and masks behave.
+//! Analyses of results that neither `compress` nor `eval` measures: the behaviour of tracks and masks.
 
 mod cubic;
 mod masks;
@@ -19,10 +19,10 @@ use super::table::Sheet;
 use crate::ReproduceError;
 use crate::report::plot::Line;
 
-/// What an analysis finds.
+/// The findings of an analysis.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Findings {
-    /// For columns of a table.
+    /// Values for columns of a table.
     pub values: BTreeMap<String, f64>,
     /// Tables of its own.
     pub sheets: Vec<Sheet>,
@@ -32,7 +32,7 @@ pub struct Findings {
 
 /// Analyses a trained run.
 ///
-/// - `name`: as a table's file has it
+/// - `name`: as in a table's file
 /// - `run`: the run's folder
 pub fn analyse(name: &str, run: &Path) -> Result<Value, ReproduceError> {
     let run = Run::open(run)?;
@@ -48,7 +48,7 @@ pub fn analyse(name: &str, run: &Path) -> Result<Value, ReproduceError> {
         .map_err(|error| ReproduceError::Table(format!("the analysis {name} as JSON: {error}")))
 }
 
-/// Without what is masked over time; and which of them are foreground.
+/// The scene without Gaussians that are masked over time, and whether each of the others is foreground.
 fn kept(run: &Run, trained: &TrainedScene) -> (DynamicGaussians, Vec<bool>) {
     let threshold = if run.config().mask.enabled { run.config().mask.threshold } else { -1.0 };
     let means = mean_masks(&trained.mask_logits, trained.lives.as_ref());
@@ -68,7 +68,7 @@ fn throughout(trained: &TrainedScene) -> Vec<Vec<f32>> {
     trained.mask_logits.iter().enumerate().map(of_timestep).collect()
 }
 
-/// Positions of what may move: `[N][3][T]`; of everything where nothing is foreground.
+/// Positions of the foreground: `[N][3][T]`; of all Gaussians if there is no foreground.
 fn foreground(run: &Run, trained: &TrainedScene) -> Vec<[Vec<f32>; 3]> {
     let (scene, is_foreground) = kept(run, trained);
     let all = !is_foreground.contains(&true);
@@ -78,8 +78,8 @@ fn foreground(run: &Run, trained: &TrainedScene) -> Vec<[Vec<f32>; 3]> {
         .collect()
 }
 
-/// The tracks of an attribute of one Gaussian, `[C][T]`; rotations of unit length and one sign over time, as
-/// they are compressed.
+/// The tracks of an attribute of one Gaussian, `[C][T]`. Rotations have unit length and one sign over time, as in
+/// compression.
 fn tracks_of(scene: &DynamicGaussians, attribute: Attribute, gaussian: usize) -> Vec<Vec<f32>> {
     let components = attribute.components();
     let mut tracks = vec![Vec::with_capacity(scene.num_timesteps()); components];
@@ -114,7 +114,7 @@ fn squared_error(track: &[f32], indices: &[usize]) -> f64 {
     sum
 }
 
-/// Of falling curves, what is within some decades of the highest point: below that there is but rounding.
+/// Cuts falling curves to some decades below the highest point: the rest is rounding.
 fn above_rounding(mut lines: Vec<Line>) -> Vec<Line> {
     let highest = lines.iter().flat_map(|line| &line.points).map(|point| point.1).fold(0.0, f64::max);
     for line in &mut lines {
@@ -123,7 +123,7 @@ fn above_rounding(mut lines: Vec<Line>) -> Vec<Line> {
     lines
 }
 
-/// The ordinate at an abscissa of a falling curve, between its points along the logarithm; none outside of it.
+/// The ordinate of a falling curve at an abscissa, interpolated along the logarithm; none outside of the curve.
 fn along(curve: &[(f64, f64)], x: f64) -> Option<f64> {
     let mut sorted = curve.to_vec();
     sorted.sort_by(|a, b| a.0.total_cmp(&b.0));

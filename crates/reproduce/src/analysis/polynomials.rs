@@ -1,4 +1,4 @@
-//! Polynomials in time against keypoints, by how far a Gaussian travels: which follows motion at as many numbers.
+//! Polynomials in time against keypoints, grouped by path length: the better fit at equal numbers.
 
 use rayon::prelude::*;
 use tcgs_codec::select_keypoints;
@@ -13,7 +13,7 @@ const GROUPS: [(&str, f64, f64); 3] =
     [("slower half", 0.0, 0.5), ("fastest tenth", 0.9, 1.0), ("fastest hundredth", 0.99, 1.0)];
 /// Degrees in the table; 3 is that of Spacetime Gaussians.
 const DEGREES: [usize; 4] = [1, 3, 5, 9];
-/// Higher ones swing between samples.
+/// Polynomials of higher degree oscillate between samples.
 const MAX_DEGREE: usize = 19;
 
 /// - `tracks`: `[N][3][T]`
@@ -54,23 +54,23 @@ pub fn analyse(tracks: &[[Vec<f32>; 3]]) -> Findings {
     Findings { sheets: vec![sheet], figures, ..Findings::default() }
 }
 
-/// Length of the way of a Gaussian.
+/// Path length of a Gaussian.
 fn path(track: &[Vec<f32>; 3]) -> f64 {
     (1..track[0].len()).map(|t| track.iter().map(|x| f64::from(x[t] - x[t - 1]).powi(2)).sum::<f64>().sqrt()).sum()
 }
 
-/// Polynomials over the timesteps that are orthonormal: `[degree + 1][T]`.
+/// Orthonormal polynomials over the timesteps: `[degree + 1][T]`.
 fn basis(t: usize, degree: usize) -> Vec<Vec<f64>> {
     let mut basis: Vec<Vec<f64>> = Vec::new();
     for power in 0..=degree {
         let x = |i: usize| 2.0 * i as f64 / (t - 1) as f64 - 1.0;
-        // The one before times x spans the same space, and keeps digits.
+        // The previous one times x spans the same space, and keeps digits.
         let mut next: Vec<f64> = match basis.last() {
             None => vec![1.0; t],
             Some(last) => last.iter().enumerate().map(|(i, y)| y * x(i)).collect(),
         };
         debug_assert_eq!(basis.len(), power);
-        // Twice is enough.
+        // Two passes of orthogonalisation are enough.
         for _ in 0..2 {
             for known in &basis {
                 let along: f64 = known.iter().zip(&next).map(|(a, b)| a * b).sum();
@@ -84,7 +84,7 @@ fn basis(t: usize, degree: usize) -> Vec<Vec<f64>> {
     basis
 }
 
-/// Numbers stored a coordinate and error, by degree.
+/// Stored numbers per coordinate and error, by degree.
 fn polynomial_curve(tracks: &[&[Vec<f32>; 3]], basis: &[Vec<f64>]) -> Vec<(f64, f64)> {
     let of_track = |track: &&[Vec<f32>; 3]| {
         let mut left = vec![0.0; basis.len()];
@@ -108,10 +108,10 @@ fn polynomial_curve(tracks: &[&[Vec<f32>; 3]], basis: &[Vec<f64>]) -> Vec<(f64, 
         .collect()
 }
 
-/// The same for keypoints, by tolerance: a value each, and a time where it is not an end.
+/// The same for keypoints, by tolerance: a value each, and a time for all but the ends.
 fn keypoint_curve(tracks: &[&[Vec<f32>; 3]]) -> Vec<(f64, f64)> {
     let t = tracks[0][0].len();
-    // From what no track exceeds on: there all have but their ends.
+    // The highest tolerance exceeds every track's error, so that all tracks have only their ends.
     (-36..=16)
         .map(|i| {
             let tolerance = 10f32.powf(i as f32 / 4.0);
@@ -143,7 +143,7 @@ mod tests {
 
     #[test]
     fn a_bounce_is_followed_by_keypoints_not_by_polynomials() {
-        // Straight there and back, with the turn at another time for each.
+        // Straight there and back, with a different turn for each.
         let bounce = |turn: usize| (0..60).map(|i| i.min(2 * turn - i.min(2 * turn)) as f32 / 10.0).collect::<Vec<_>>();
         let tracks: Vec<[Vec<f32>; 3]> = (20..40).map(|i| [bounce(i), bounce(i), vec![0.0; 60]]).collect();
         let findings = analyse(&tracks);

@@ -1,4 +1,4 @@
-//! Ways to pick keypoints of the same tracks, and cubic curves through them: which errs least at as many.
+//! Methods of selecting keypoints of the same tracks, and cubic curves through them: their errors at equal numbers.
 
 use rayon::prelude::*;
 use tcgs_codec::select_keypoints;
@@ -8,14 +8,14 @@ use crate::figure::Figure;
 use crate::report::plot::{Axes, Line};
 use crate::table::{self, Cell, Sheet};
 
-/// Keypoints a track at which the methods are compared.
+/// Mean keypoints per track at which the methods are compared.
 const BUDGETS: [f64; 9] = [2.25, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 12.0, 20.0];
 
 /// - `tracks`: `[N][3][T]`
 pub fn analyse(tracks: &[[Vec<f32>; 3]]) -> Findings {
     let tracks: Vec<&[f32]> = tracks.iter().flatten().map(Vec::as_slice).collect();
     let Some(t) = tracks.first().map(|track| track.len()).filter(|&t| t > 2) else { return Findings::default() };
-    // A third of a decade a step.
+    // Steps of a third of a decade.
     let sweep = |from: i32, to: i32| (3 * from..=3 * to).map(|i| 10f32.powf(i as f32 / 3.0)).collect::<Vec<_>>();
     let chords = |track: &[f32], indices: Vec<usize>| {
         let error = squared_error(track, &indices);
@@ -53,9 +53,9 @@ pub fn analyse(tracks: &[[Vec<f32>; 3]]) -> Findings {
     Findings { sheets: vec![sheet], figures: vec![figure], ..Findings::default() }
 }
 
-/// Mean keypoints and mean squared error of a way to select.
+/// Mean number of keypoints and mean squared error of a selection method.
 ///
-/// - `select`: from a track to its keypoints and the squared error summed over time
+/// - `select`: maps a track to its keypoints and the squared error summed over time
 fn curve_point(tracks: &[&[f32]], select: impl Fn(&[f32]) -> (Vec<usize>, f64) + Sync) -> (f64, f64) {
     let of_track = |track: &&[f32]| {
         let (indices, error) = select(track);
@@ -66,15 +66,14 @@ fn curve_point(tracks: &[&[f32]], select: impl Fn(&[f32]) -> (Vec<usize>, f64) +
     (sum.0 / all.len() as f64, sum.1 / all.len() as f64)
 }
 
-/// At equal distances, as nearly as there are samples.
+/// Keypoints at equal distances, as nearly as samples allow.
 fn uniform(t: usize, count: usize) -> Vec<usize> {
     let mut indices: Vec<usize> = (0..count).map(|i| (i * (t - 1) + (count - 1) / 2) / (count - 1)).collect();
     indices.dedup();
     indices
 }
 
-/// Ramer-Douglas-Peucker on a function of time: splits where the chord errs most, as long as it errs by more than
-/// `tolerance`.
+/// Ramer-Douglas-Peucker on a function of time: splits where the chord errs most, while the error exceeds `tolerance`.
 fn ramer(track: &[f32], tolerance: f32) -> Vec<usize> {
     let mut indices = vec![0, track.len() - 1];
     let mut open = vec![(0, track.len() - 1)];

@@ -1,4 +1,4 @@
-//! Keypoints of every track under limits: what lines between them err, and how many they are.
+//! Keypoints of every track under limits: the error of lines between them, and their number.
 
 use rayon::prelude::*;
 use tcgs_codec::select_keypoints;
@@ -9,9 +9,9 @@ use crate::figure::Figure;
 use crate::report::plot::{Axes, Line};
 use crate::table::{self, Cell, Sheet};
 
-/// Of the paper's figures.
+/// The tolerance of the paper's figures.
 const MAX_MSE: f32 = 1e-6;
-/// What its limit is for Panoptic Sports.
+/// The paper's limit for Panoptic Sports.
 const PAPER_LIMIT: usize = 30;
 const LIMITS: [usize; 11] = [2, 3, 4, 6, 8, 10, 15, 20, 30, 45, 60];
 const VARYING: [(Attribute, &str); 3] =
@@ -22,7 +22,7 @@ const VARYING: [(Attribute, &str); 3] =
 struct Sums {
     squared_error: f64,
     keypoints: f64,
-    /// Tracks by keypoints.
+    /// Number of tracks by number of keypoints.
     histogram: Vec<f64>,
 }
 
@@ -91,7 +91,7 @@ fn sums(scene: &DynamicGaussians, attribute: Attribute, limit: usize) -> Sums {
             sums
         })
     };
-    // In order, so that the sums do not depend on the number of threads.
+    // In order, so that sums do not depend on the number of threads.
     let gaussians: Vec<usize> = (0..scene.num_gaussians()).collect();
     let chunks = gaussians.par_chunks(4096).map(|chunk| chunk.iter().map(|&g| of_gaussian(g)).fold(empty(), added));
     chunks.collect::<Vec<_>>().into_iter().fold(empty(), added)

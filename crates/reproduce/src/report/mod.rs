@@ -1,7 +1,7 @@
-//! Pages of results: one HTML file each, without scripts, nothing loaded from elsewhere. The page of one run
-//! ([`html`]), and the parts that pages of tables share with it.
+//! Pages of results: one HTML file each, without scripts or external resources. Holds the page of one run ([`html`]),
+//! and the parts that pages of tables share with it.
 //!
-//! What lives here: which figures the page shows and in what order. `plot` draws them.
+//! What lives here: the choice and order of the page's figures. `plot` draws them.
 
 pub mod plot;
 
@@ -12,20 +12,20 @@ use image::{ImageFormat, RgbImage};
 
 use plot::{Axes, Line, Row, columns, escape, lines, rows, short};
 
-/// What the page of a run shows. A plot without values says that it was not measured.
+/// The content of a run's page. A plot without values says that it was not measured.
 #[derive(Clone, Debug, Default)]
 pub struct Report {
     /// Heading of the page.
     pub title: String,
     /// Headline figures: name and value, most important first.
     pub summary: Vec<(String, String)>,
-    /// What each step of the compression leaves, in order; the first is the uncompressed model.
+    /// Results of the compression steps, in order; the first is the uncompressed model.
     pub stages: Vec<CompressionStep>,
     /// Seconds spent on each part of the run.
     pub seconds: Vec<(String, f64)>,
     /// Iteration, counted over the whole run, and training loss.
     pub loss: Vec<(u64, f32)>,
-    /// PSNR in dB of every timestep, one series a model or subset of pixels.
+    /// PSNR in dB of every timestep, one series per model or subset of pixels.
     pub psnr_over_time: Vec<Series>,
     /// For each attribute: number of tracks with 0, 1, 2, … keypoints.
     pub keypoints_histogram: Vec<Series>,
@@ -33,24 +33,24 @@ pub struct Report {
     pub mask_histogram: Vec<(f32, u64)>,
     /// For each attribute: number of parameters stored with 0, 1, 2, … bits.
     pub bits_histogram: Vec<Series>,
-    /// Shown first, in order.
+    /// Pictures, shown first and in order.
     pub pictures: Vec<Picture>,
 }
 
 /// A step of the compression.
 #[derive(Clone, Debug, Default)]
 pub struct CompressionStep {
-    /// What the step does.
+    /// Name of the step.
     pub name: String,
     /// Size of the model after the step.
     pub bytes: u64,
-    /// On the test cameras, dB, where measured.
+    /// PSNR on the test cameras, dB, if measured.
     pub psnr: Option<f64>,
-    /// On the test cameras, where measured.
+    /// SSIM on the test cameras, if measured.
     pub ssim: Option<f64>,
 }
 
-/// A named series of numbers, of which each one's index is the abscissa.
+/// A named series of numbers; the index is the abscissa.
 #[derive(Clone, Debug, Default)]
 pub struct Series {
     /// Name in the legend.
@@ -62,13 +62,13 @@ pub struct Series {
 /// A picture with its caption.
 #[derive(Clone, Debug, Default)]
 pub struct Picture {
-    /// Below the picture, and read to those who do not see it.
+    /// Text below the picture, read by screen readers.
     pub caption: String,
     /// A PNG file.
     pub png: Vec<u8>,
 }
 
-/// Points that the loss is averaged to: more than the plot has pixels to show would only weigh.
+/// Most points of the loss curve: more than the plot's pixels can show would only add bytes.
 const MAX_LOSS_POINTS: usize = 300;
 
 /// The page of a run as HTML.
@@ -87,9 +87,9 @@ pub fn html(report: &Report) -> String {
     document(&report.title, &page)
 }
 
-/// A page of its own.
+/// A complete page.
 ///
-/// - `body`: below the heading
+/// - `body`: HTML below the heading
 pub fn document(title: &str, body: &str) -> String {
     let title = escape(title);
     format!(
@@ -101,7 +101,7 @@ pub fn document(title: &str, body: &str) -> String {
     )
 }
 
-/// Adds a part with a heading.
+/// Appends a section with a heading.
 pub fn section(page: &mut String, name: &str, note: &str, body: &str) {
     let id = name.to_lowercase().replace(' ', "-");
     let note = if note.is_empty() { String::new() } else { format!("<p class=\"note\">{note}</p>\n") };
@@ -117,7 +117,7 @@ fn summary(figures: &[(String, String)]) -> String {
     format!("<dl class=\"summary\">{tiles}</dl>\n")
 }
 
-/// A bar for each stage, and the same as a table.
+/// A bar for each stage, and the same numbers as a table.
 fn sizes(stages: &[CompressionStep]) -> String {
     let Some(first) = stages.first() else { return String::new() };
     let bars: Vec<Row> = stages
@@ -178,7 +178,7 @@ fn seconds(seconds: &[(String, f64)]) -> String {
     rows("Seconds spent on each part", &bars, false)
 }
 
-/// One small plot a series, over the range in which any of them has something.
+/// One small plot per series, over the range in which any of them has a value.
 fn histograms(all: &[Series], x_label: &str, y_label: &str) -> String {
     let used =
         |series: &Series| -> Vec<usize> { (0..series.values.len()).filter(|&i| series.values[i] > 0.0).collect() };
@@ -244,7 +244,7 @@ fn decimal(value: Option<f64>, digits: usize) -> String {
     value.filter(|value| value.is_finite()).map_or_else(|| "–".into(), |value| format!("{value:.digits$}"))
 }
 
-/// RFC 4648, with padding.
+/// Base64 with padding (RFC 4648).
 fn base64(bytes: &[u8]) -> String {
     const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);

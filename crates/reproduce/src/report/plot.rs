@@ -5,34 +5,34 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
-/// Colours there are; a seventh series takes the first again.
+/// Number of colours; a seventh series takes the first again.
 const NUM_COLORS: usize = 6;
-/// Room beside a plot for the names of its rows or the numbers of its axis, user units.
+/// Space beside a plot for the names of its rows or the numbers of its axis, user units.
 const LEFT: f64 = 64.0;
 
 /// A line of a plot.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Line {
-    /// In the legend.
+    /// Name in the legend.
     pub name: String,
-    /// Those that are not finite, or not positive on a logarithmic axis, are left out.
+    /// Points; those that are not finite, or not positive on a logarithmic axis, are left out.
     pub points: Vec<(f64, f64)>,
 }
 
 /// A named point of a plot.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Mark {
-    /// Beside it.
+    /// Name beside the mark.
     pub name: String,
-    /// Left out if not finite, or not positive on a logarithmic axis.
+    /// Position; left out if not finite, or not positive on a logarithmic axis.
     pub at: (f64, f64),
-    /// Of marks that belong together.
+    /// Colour that related marks share.
     pub color: usize,
     /// A ring instead of a disc.
     pub hollow: bool,
 }
 
-/// What a plot's axes are called, and whether they are logarithmic.
+/// Names of a plot's axes, and whether they are logarithmic.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Axes {
     pub x: String,
@@ -43,15 +43,15 @@ pub struct Axes {
 
 /// A horizontal bar.
 pub struct Row {
-    /// Before it.
+    /// Name before the bar.
     pub name: String,
-    /// Its length.
+    /// Length of the bar.
     pub value: f64,
     /// The value in words, at the bar's end.
     pub text: String,
 }
 
-/// A plot's ground: its size, and where values lie on it.
+/// The frame of a plot: its size, and the positions of values.
 struct Frame {
     svg: String,
     log: (bool, bool),
@@ -60,7 +60,7 @@ struct Frame {
     top: f64,
 }
 
-/// Of [`Frame`], user units.
+/// Layout of [`Frame`], user units.
 const WIDTH: f64 = 720.0;
 const RIGHT: f64 = 24.0;
 const PLOT_HEIGHT: f64 = 228.0;
@@ -68,7 +68,7 @@ const PLOT_HEIGHT: f64 = 228.0;
 impl Frame {
     /// Axes and rules around points; none without points.
     ///
-    /// - `top`: room above
+    /// - `top`: space above
     fn new(label: &str, axes: &Axes, points: &[(f64, f64)], top: f64) -> Option<Self> {
         let log = (axes.log_x, axes.log_y);
         let points: Vec<(f64, f64)> = points.iter().map(|&p| scaled(p, log)).filter(is_drawn).collect();
@@ -77,7 +77,7 @@ impl Frame {
         let y_ticks = if axes.log_y { log_ticks(y_range) } else { linear_ticks(y_range, 5) };
         let x_ticks = if axes.log_x { log_ticks(x_range) } else { linear_ticks(x_range, 8) };
         let y_range = y_ticks.iter().fold(y_range, |(low, high), tick| (low.min(tick.0), high.max(tick.0)));
-        // A logarithmic abscissa begins and ends at a tick: few of them lie within a short range.
+        // A logarithmic abscissa begins and ends at a tick, since a short range has few of them.
         let widened = x_ticks.iter().fold(x_range, |(low, high), tick| (low.min(tick.0), high.max(tick.0)));
         let x_range = if axes.log_x { widened } else { x_range };
         let (bottom, height) = (top + PLOT_HEIGHT, top + PLOT_HEIGHT + 40.0);
@@ -101,7 +101,7 @@ impl Frame {
         Some(frame)
     }
 
-    /// Where a scaled point lies.
+    /// Position of a scaled point.
     fn at(&self, (x, y): (f64, f64)) -> (f64, f64) {
         let share = |value: f64, (low, high): (f64, f64)| (value - low) / (high - low);
         (
@@ -110,7 +110,7 @@ impl Frame {
         )
     }
 
-    /// Those points that can be drawn, where they lie.
+    /// Positions of the points that can be drawn.
     fn places(&self, points: &[(f64, f64)]) -> Vec<(f64, f64)> {
         points.iter().map(|&p| scaled(p, self.log)).filter(is_drawn).map(|p| self.at(p)).collect()
     }
@@ -124,7 +124,7 @@ fn is_drawn((x, y): &(f64, f64)) -> bool {
     x.is_finite() && y.is_finite()
 }
 
-/// Where the names of a legend lie, row after row, and how high it is.
+/// Positions of a legend's names, row after row, and its height.
 fn legend(names: &[&str]) -> (Vec<(f64, f64)>, f64) {
     if names.len() < 2 {
         return (vec![(LEFT, 0.0); names.len()], 12.0);
@@ -151,7 +151,7 @@ pub fn lines(label: &str, axes: &Axes, all: &[Line]) -> String {
     let Some(mut frame) = Frame::new(label, axes, &points, top) else { return String::new() };
     for (i, line) in all.iter().enumerate() {
         let points = frame.places(&line.points);
-        // Colours that come again are told apart by dashes.
+        // Dashes distinguish repeated colours.
         let dashes = if i < NUM_COLORS { "" } else { " stroke-dasharray=\"5 4\"" };
         let svg = &mut frame.svg;
         let _ = write!(svg, "<g class=\"c{}\"><title>{}</title>", i % NUM_COLORS, escape(&line.name));
@@ -182,7 +182,7 @@ pub fn lines(label: &str, axes: &Axes, all: &[Line]) -> String {
 pub fn points(label: &str, axes: &Axes, marks: &[Mark]) -> String {
     let all: Vec<(f64, f64)> = marks.iter().map(|mark| mark.at).collect();
     let Some(mut frame) = Frame::new(label, axes, &all, 20.0) else { return String::new() };
-    // What a name must not cover: marks, and other names.
+    // Boxes that a name must not cover: marks, and other names.
     let mut taken: Vec<[f64; 4]> =
         frame.places(&all).into_iter().map(|(x, y)| [x - 5.0, y - 5.0, x + 5.0, y + 5.0]).collect();
     for mark in marks {
@@ -202,8 +202,8 @@ pub fn points(label: &str, axes: &Axes, marks: &[Mark]) -> String {
     frame.svg + "</svg>\n"
 }
 
-/// A place for a name beside its point where it covers no other: right of it or left, and if need be above or below.
-/// The third number is positive right of it.
+/// A free place for a name beside its point: right or left, above or below if necessary. The third number is positive
+/// on the right side.
 fn name_place((x, y): (f64, f64), name: &str, taken: &mut Vec<[f64; 4]>) -> [f64; 3] {
     let width = 6.6 * name.chars().count() as f64;
     let candidates = (0..12).flat_map(|step| {
@@ -242,7 +242,7 @@ pub fn standalone(svg: &str) -> String {
 
 /// Horizontal bars with names and values. Empty if there is none.
 ///
-/// - `log`: bars grow with the logarithm, from a decade below the least
+/// - `log`: bar lengths are logarithmic, from a decade below the least
 pub fn rows(label: &str, bars: &[Row], log: bool) -> String {
     let bars: Vec<&Row> = bars.iter().filter(|bar| bar.value.is_finite() && (bar.value > 0.0 || !log)).collect();
     let Some((least, most)) = range(bars.iter().map(|bar| bar.value)) else { return String::new() };
@@ -302,7 +302,7 @@ pub fn columns(label: &str, x_label: &str, y_label: &str, bars: &[(String, f64)]
     for (i, (name, value)) in bars.iter().enumerate() {
         let x = LEFT + step * i as f64;
         if *value > 0.0 && value.is_finite() {
-            // At least a pixel: a few of many is not none.
+            // At least one pixel, since a few of many are not none.
             let tall = (bottom - y_at(*value)).max(1.0);
             let _ = write!(
                 svg,
@@ -335,7 +335,7 @@ pub fn short(value: f64) -> String {
     format!("{scaled:.digits$} {}", prefix[power])
 }
 
-/// For text and attributes.
+/// Escapes text for HTML content and attributes.
 pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
@@ -361,8 +361,8 @@ fn linear_ticks((low, high): (f64, f64), count: usize) -> Vec<(f64, String)> {
     (first..=last).map(|i| (i as f64 * step, text(i as f64 * step).trim().to_owned())).collect()
 }
 
-/// Decades that cover a range of logarithms, some of them where the range is long, and 2 and 5 between them where it
-/// is short.
+/// Ticks over a range of logarithms: decades, thinned out if the range is long, with 2 and 5 between them if it is
+/// short.
 fn log_ticks((low, high): (f64, f64)) -> Vec<(f64, String)> {
     let steps: &[f64] = if high - low > 2.0 { &[1.0] } else { &[1.0, 2.0, 5.0] };
     let every = ((high - low) / 7.0).ceil().max(1.0) as usize;

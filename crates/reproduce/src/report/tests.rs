@@ -114,7 +114,7 @@ fn the_page_is_well_formed_and_shows_every_section() {
     }
     assert!(!page.contains("Not measured"));
     assert!(page.contains("a cube &amp; a &lt;spinner&gt;</h1>"));
-    // The missing number is told apart from 0.
+    // A missing number differs from 0.
     for text in ["7.81 MB", "142 kB", ">54.9<", ">28.41<", ">0.9132<", "<td>–</td>"] {
         assert!(page.contains(text), "{text}");
     }

@@ -1,6 +1,6 @@
-//! Arrays of a checkpoint: name, shape and values, whatever they mean. What lives here: reading and writing one array,
-//! and the rows in which two arrays differ. What does not: which arrays there are (`checkpoint`), and in which file an
-//! array lies (`chain`).
+//! Arrays of a checkpoint as name, shape and values, whatever their meaning. What lives here: reading and writing one
+//! array, and finding the rows in which two arrays differ. What does not: the list of arrays (`checkpoint`), and the
+//! distribution of arrays over files (`chain`).
 
 use std::collections::BTreeMap;
 use std::io::{self, Seek, Write};
@@ -53,7 +53,7 @@ macro_rules! impl_value {
 }
 impl_value!(f32, F32, |x| x.to_bits().into(); u64, U64, |x| x; u8, U8, |x| x.into());
 
-/// Does the same with the values, whatever their type.
+/// Evaluates an expression on the values, whatever their type.
 macro_rules! with_values {
     ($values:expr, |$x:ident| $body:expr) => {
         match $values {
@@ -84,7 +84,8 @@ impl Array {
         self.shape[1..].iter().product()
     }
 
-    /// Rows whose bits are not those of `before`, and those that it lacks; none if it is of another shape or type, or longer.
+    /// Rows whose bits differ from those of `before`, and rows that `before` lacks. None if its shape or type differs,
+    /// or if it is longer.
     pub fn changed_rows(&self, before: &Self) -> Option<Vec<usize>> {
         fn compare<T: Value>(values: &[T], before: &Values, row_len: usize) -> Option<Vec<usize>> {
             let before = T::unwrap(before)?;
@@ -113,11 +114,11 @@ impl Array {
     /// Replaces rows, and appends those after the last.
     ///
     /// # Errors
-    /// What is wrong with the patch, if it is not one of an array of this shape and type.
+    /// A message if the patch does not belong to an array of this shape and type.
     pub fn apply(&mut self, patch: &Patch) -> Result<(), String> {
         fn put<T: Value>(values: &mut Vec<T>, patch: &Patch, row_len: usize) -> Option<()> {
             let new = T::unwrap(&patch.values.values)?;
-            // Those appended are the last ones, and each is overwritten.
+            // Appended rows are the last ones, and the patch overwrites each of them.
             if let Some(&last) = patch.rows.last()
                 && let Some(&value) = new.first()
             {
@@ -129,7 +130,7 @@ impl Array {
             Some(())
         }
         let (num_rows, row_len) = (self.shape[0], self.row_len());
-        // What is appended leaves no gap.
+        // Appended rows must leave no gap.
         let num_inside = patch.rows.partition_point(|&row| row < num_rows);
         let new_rows = num_rows + patch.rows.len() - num_inside;
         if let Some(row) = patch.rows.last().filter(|&&row| row >= new_rows) {
@@ -160,7 +161,7 @@ impl Array {
     }
 
     /// # Errors
-    /// What is wrong with the array, which begins with its name.
+    /// A message about the array; it begins with the array's name.
     pub fn read(npz: &mut NpzReader, name: &str) -> Result<Self, String> {
         fn of<T: Value>(npz: &mut NpzReader, name: &str) -> Result<Array, String> {
             let array = npz.array_of::<T>(name).map_err(problem_of)?;
@@ -178,14 +179,14 @@ impl Array {
 /// Values of an array of the type `T`.
 ///
 /// # Errors
-/// What is wrong, if there is no such array or it is of another type.
+/// A message if there is no such array or it is of another type.
 pub(crate) fn get<'a, T: Value>(arrays: &'a Arrays, name: &str) -> Result<&'a [T], String> {
     let missing = || format!("{name} is missing, found {}", arrays.keys().cloned().collect::<Vec<_>>().join(", "));
     let array = arrays.get(name).ok_or_else(missing)?;
     T::unwrap(&array.values).ok_or_else(|| format!("{name} has another type, expected {}", T::DESCR))
 }
 
-/// What is wrong with a checkpoint, without its path.
+/// The message of an error about a checkpoint, without its path.
 pub(crate) fn problem_of(error: InterchangeError) -> String {
     match error {
         InterchangeError::Read { error, .. } | InterchangeError::Write { error, .. } => error.to_string(),
@@ -195,8 +196,8 @@ pub(crate) fn problem_of(error: InterchangeError) -> String {
     }
 }
 
-/// Ascending indices as the gaps between them, seven bits a byte from the lowest on, the eighth set while more follow
-/// (LEB128): a byte an index where at least every 128th is there.
+/// Packs ascending indices as the gaps between them, in LEB128: seven bits per byte, lowest first, the eighth set while
+/// more follow. An index takes one byte if at least every 128th row is listed.
 pub(crate) fn pack_rows(rows: &[usize]) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(rows.len());
     let mut next = 0;
@@ -212,7 +213,7 @@ pub(crate) fn pack_rows(rows: &[usize]) -> Vec<u8> {
     bytes
 }
 
-/// The indices that [`pack_rows`] packed; none of other bytes.
+/// The indices that [`pack_rows`] packed; none for any other bytes.
 pub(crate) fn unpack_rows(bytes: &[u8]) -> Option<Vec<usize>> {
     let (mut rows, mut next) = (Vec::with_capacity(bytes.len()), 0_usize);
     let (mut gap, mut shift) = (0_usize, 0);
@@ -265,7 +266,7 @@ mod tests {
         assert!(patched.apply(&narrow).unwrap_err().contains("expected rows of 2 values"));
         let bytes = Patch { rows: vec![1], values: Array::new(&[1, 2], vec![0_u8; 2]) };
         assert_eq!(patched.apply(&bytes).unwrap_err(), "changes its type");
-        // Rows that are new follow the others.
+        // New rows follow the others.
         let longer = Array::new(&[6, 2], (0..12).map(|i| i as f32).collect());
         let rows = longer.changed_rows(&patched).unwrap();
         assert_eq!(rows[rows.len() - 2..], [4, 5]);

@@ -1,16 +1,16 @@
-//! The checkpoints of a run as a chain of npz archives, one a timestep, each of which holds what changed.
+//! The checkpoints of a run as a chain of npz archives, one per timestep, each of which holds the changes.
 //!
 //! An archive's array `contents` is a text: `timestep T`, then a line for each array of the checkpoint:
 //!
 //! | line | the archive holds |
 //! |---|---|
 //! | `whole NAME` | `NAME`, as it is |
-//! | `rows NAME` | the rows of the first axis that differ from the timestep before to the bit: `NAME.rows`, their indices ([`pack_rows`]), and `NAME.values` |
+//! | `rows NAME` | the rows that differ in a bit: `NAME.rows`, their indices ([`pack_rows`]), and `NAME.values` |
 //! | `same NAME` | nothing: the array is that of the timestep before |
 //!
-//! An array is looked for from its timestep backwards to the archive that holds it whole. Every [`WHOLE_EVERY`]th
-//! archive holds all of them whole. An archive without `contents` is one of an earlier version: it holds all that it
-//! names whole.
+//! Rows run along the first axis and are compared with the timestep before. The reader searches for an array from its
+//! timestep backwards to the archive that holds it whole. Every [`WHOLE_EVERY`]th archive holds all arrays whole. An
+//! archive without `contents` holds all its arrays whole.
 
 use std::collections::BTreeMap;
 use std::io::{self, BufWriter, Seek, Write};
@@ -22,13 +22,13 @@ use tcgs_interchange::{Existing, NpzReader, NpzWriter, write_whole};
 use super::array::{Array, Arrays, Patch, pack_rows, problem_of, unpack_rows};
 use crate::TrainError;
 
-/// Distance of archives that hold everything whole. The checkpoint before the last, which resuming needs besides, lies
-/// in the same stretch or at the end of the one before; with the first and the last checkpoint at most 42 are read.
+/// Distance of archives that hold everything whole. Resuming also needs the checkpoint before the last, which lies in
+/// the same stretch or at the end of the one before. With the first and the last checkpoint at most 42 are read.
 pub(crate) const WHOLE_EVERY: usize = 40;
 
 const CONTENTS: &str = "contents";
 
-/// How an archive holds an array.
+/// The form in which an archive holds an array.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Form {
     Whole,
@@ -40,8 +40,8 @@ impl Form {
     const ALL: [(Self, &str); 3] = [(Self::Whole, "whole"), (Self::Rows, "rows"), (Self::Same, "same")];
 }
 
-/// Reads and writes the archives of a folder, and remembers the last timestep that was read or written: the next one is
-/// found from that alone.
+/// Reads and writes the archives of a folder. It remembers the last timestep read or written, from which alone the next
+/// one is rebuilt.
 #[derive(Debug)]
 pub(crate) struct Chain {
     folder: PathBuf,
@@ -64,7 +64,7 @@ impl Chain {
         self.folder.join(format!("{timestep:06}.npz"))
     }
 
-    /// Writes the archive of a timestep atomically: what differs from the timestep before, if that is there. Equal arrays
+    /// Writes the archive of a timestep atomically: the changes from the timestep before, if that exists. Equal arrays
     /// give equal bytes, whatever was read or written before.
     ///
     /// - `order`: names of the arrays in the order of the archive
@@ -89,7 +89,7 @@ impl Chain {
     /// [`TrainError::File`] if the timestep's archive or one that it continues is missing or damaged.
     pub fn read(&mut self, timestep: usize) -> Result<Arrays, TrainError> {
         let mut found = Arrays::new();
-        // By name, the patches that come after the archive under way, the latest first.
+        // By name, the patches of archives after the current one, latest first.
         let mut pending: BTreeMap<String, Vec<(PathBuf, Patch)>> = BTreeMap::new();
         for at in (0..=timestep).rev() {
             let path = self.path(at);
@@ -221,7 +221,7 @@ fn write_link<W: Write + Seek>(
             return Held::Same;
         }
         let (packed, values) = (pack_rows(&rows), array.select(&rows));
-        // What changes nearly everywhere is whole, so that nothing before it has to be read.
+        // An array that changes almost everywhere is stored whole, so that no earlier archive has to be read.
         if packed.len() + values.bytes() < array.bytes() { Held::Rows(packed, values) } else { Held::Whole(array) }
     };
     let held: Vec<(&String, Held<'_>)> = order.iter().map(|name| (name, held(name))).collect();
@@ -247,11 +247,11 @@ fn write_link<W: Write + Seek>(
             Held::Same => {}
         }
     }
-    // Left to be dropped, the archive would swallow a full disk.
+    // A drop instead of `finish` would swallow the error of a full disk.
     npz.finish()?.flush()
 }
 
-/// Writes arrays atomically to an archive of their own that says its timestep.
+/// Writes arrays atomically to an archive of their own, which names its timestep.
 pub(crate) fn write_single(path: &Path, timestep: usize, order: &[String], arrays: &Arrays) -> Result<(), TrainError> {
     let written = write_whole(path, Existing::Replace, |file| {
         write_link(BufWriter::new(file), timestep, order, arrays, &Arrays::new())

@@ -1,7 +1,7 @@
 //! Checkpoints: the result of one timestep, and the optimiser's state that the next timestep starts from, as arrays.
 //!
-//! - `array`: one array, and in which rows two differ
-//! - `chain`: the archives of a run, which hold what changes from one timestep to the next
+//! - `array`: one array, and the rows in which two differ
+//! - `chain`: the archives of a run, which hold the changes from one timestep to the next
 
 mod array;
 mod chain;
@@ -39,15 +39,15 @@ pub struct Checkpoint {
     pub optimizer: Optimizer,
     /// Extent of the scene in scene units; see [`crate::scene_radius`].
     pub scene_radius: f32,
-    /// What the gate knows; empty in a run without one.
+    /// The gate's record; empty in a run without a gate.
     pub gate: GateRecord,
-    /// Poses at birth of the Gaussians that were born after the first timestep, which are the last ones.
+    /// Poses at birth of the Gaussians born after the first timestep, which are the last ones.
     pub born: Pose,
 }
 
 /// Name of the array with the moments of a column.
 fn moments_name(column: &Column) -> String {
-    // Files had it before a layout could have further columns.
+    // Files had this name before a layout could have further columns.
     if column.attribute == Attribute::Color { "color_moments".into() } else { format!("{}_moments", column.name) }
 }
 
@@ -64,13 +64,13 @@ fn with_moments(layout: &Layout) -> impl Iterator<Item = &Column> {
     layout.columns().iter().filter(|column| column.varies && goes_on(column))
 }
 
-/// The columns that vary and of whose Adam nothing but the number of updates goes on.
+/// The columns that vary and carry over only Adam's number of updates.
 fn with_steps_alone(layout: &Layout) -> impl Iterator<Item = &Column> {
     layout.columns().iter().filter(|column| column.varies && !goes_on(column))
 }
 
 impl Checkpoint {
-    /// The state of a scene that nothing is known of but its Gaussians: none has a past, and nothing is quantised.
+    /// The state of a scene of which only the Gaussians are known: none has a past, and nothing is quantised.
     ///
     /// - `cameras`: the training cameras, at least one
     pub fn of_parameters(parameters: Parameters, cameras: &[Camera]) -> Self {
@@ -85,8 +85,8 @@ impl Checkpoint {
         }
     }
 
-    /// Writes everything into one archive, atomically. Equal checkpoints give equal bytes. [`Run::save`](crate::Run::save)
-    /// writes less: what differs from the timestep before.
+    /// Writes everything into one archive, atomically. Equal checkpoints give equal bytes.
+    /// [`Run::save`](crate::Run::save) writes only the changes from the timestep before.
     ///
     /// - `first`: whether this is the checkpoint of timestep 0, which also holds everything that does not vary with
     ///   time
@@ -103,7 +103,7 @@ impl Checkpoint {
         for (name, _, array) in self.arrays(first) {
             array.write(&mut npz, &name)?;
         }
-        // Left to be dropped, the archive would swallow a full disk.
+        // A drop instead of `finish` would swallow the error of a full disk.
         npz.finish()?.flush()
     }
 
@@ -122,7 +122,7 @@ impl Checkpoint {
         if first && layout.is_antialiased() {
             arrays.add(ANTIALIASED, For::Scene, &[1], &[1_u8]);
         }
-        // Who is born has values of its own in all columns, and who dies takes theirs away.
+        // A born Gaussian brings values of its own in all columns, and a dead one takes its values away.
         let has_lifetimes = !self.lifetimes.are_whole();
         for column in layout.columns().iter().filter(|column| first || has_lifetimes || column.varies) {
             let shape = [n, column.components()];
@@ -158,7 +158,7 @@ impl Checkpoint {
         steps.extend([o.quantizer_steps.step, o.quantizer_offsets.step]);
         arrays.add(STEPS, For::Resuming, &[steps.len()], &steps);
         if !self.gate.errors.is_empty() {
-            // Views may differ in their number of tiles, and have equally many estimates.
+            // The number of tiles may differ between views; the number of estimates does not.
             let g = &self.gate;
             let tiles: Vec<u64> = g.errors.iter().map(|errors| errors.len() as u64).collect();
             let (errors, noise) = (g.errors.concat(), g.noise.concat());
@@ -209,12 +209,12 @@ impl Checkpoint {
         Self::from_arrays(&arrays, first, learned_offset).map_err(failed)
     }
 
-    /// The checkpoint that arrays hold. Without those for resuming the optimizer's state is all zero.
+    /// The checkpoint in some arrays. Without the arrays for resuming, the optimizer's state is all zero.
     ///
     /// - `first`, `learned_offset`: see [`Self::load`]
     ///
     /// # Errors
-    /// What is wrong with the arrays.
+    /// A message about the arrays.
     pub(crate) fn from_arrays(arrays: &Arrays, first: Option<&Self>, learned_offset: bool) -> Result<Self, String> {
         read(arrays, first, learned_offset)
     }
@@ -224,7 +224,7 @@ impl Checkpoint {
     /// - `first`: see [`Self::load`]
     ///
     /// # Errors
-    /// What is wrong with the arrays.
+    /// A message about the arrays.
     pub(crate) fn parameters_of(arrays: &Arrays, first: Option<&Self>) -> Result<Parameters, String> {
         read_parameters(arrays, first)
     }
@@ -232,7 +232,7 @@ impl Checkpoint {
     /// The mask logits among arrays.
     ///
     /// # Errors
-    /// What is wrong with the arrays.
+    /// A message about the arrays.
     pub(crate) fn mask_logits_of(arrays: &Arrays) -> Result<&[f32], String> {
         get(arrays, MASK_LOGITS)
     }
@@ -240,23 +240,23 @@ impl Checkpoint {
     /// The lives among arrays; none if all Gaussians were there at first and have not died.
     ///
     /// # Errors
-    /// What is wrong with the arrays.
+    /// A message about the arrays.
     pub(crate) fn lives_of(arrays: &Arrays) -> Result<Option<Lives>, String> {
         if has_lifetimes(arrays) { read_lives(arrays).map(Some) } else { Ok(None) }
     }
 
-    /// Whether arrays hold what the next timestep starts from besides the scene.
+    /// Whether arrays include the optimizer's state, from which the next timestep starts.
     pub(crate) fn can_resume_from(arrays: &Arrays) -> bool {
         arrays.contains_key(STEPS)
     }
 }
 
-/// Who reads an array.
+/// The reader of an array.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum For {
-    /// Whoever wants the scene at this timestep. The run keeps it of every timestep.
+    /// A reader of the scene at this timestep. The run keeps the array for every timestep.
     Scene,
-    /// The next timestep alone. The run keeps it of the last two timesteps.
+    /// The next timestep alone. The run keeps the array for the last two timesteps.
     Resuming,
 }
 
@@ -270,7 +270,7 @@ impl List {
     }
 }
 
-/// Name of the array that says, where it is there, that the Gaussians are drawn with antialiasing.
+/// Name of an array whose presence means that the Gaussians are drawn with antialiasing.
 const ANTIALIASED: &str = "antialiased";
 /// Name of the array of all counts of updates; every state of an optimizer has it.
 const STEPS: &str = "steps";
@@ -286,7 +286,7 @@ const BORN_MEANS: &str = "born_means";
 const BORN_QUATS: &str = "born_quats";
 const QUANTIZER_MOMENT_NAMES: [&str; 2] = ["quantizer_step_moments", "quantizer_offset_moments"];
 
-/// The columns after the first five, a line each: how a checkpoint says its layout.
+/// The columns after the first five, one per line: a checkpoint's description of its layout.
 fn table_of(layout: &Layout) -> String {
     let line = |c: &Column| {
         let Column { name, activation, varies, quantized, rate, unit, .. } = c;
@@ -295,7 +295,7 @@ fn table_of(layout: &Layout) -> String {
     layout.columns()[Attribute::BASE.len()..].iter().map(line).collect()
 }
 
-/// The layout that [`table_of`] says; none if a line is not one of its.
+/// The layout that [`table_of`] describes; none if a line does not parse.
 fn layout_of(table: &str) -> Option<Layout> {
     let named = |word: &str| -> Option<Activation> {
         Activation::ALL.into_iter().find(|activation| format!("{activation:?}") == word)
@@ -349,10 +349,10 @@ fn read_gate(arrays: &Arrays, n: usize) -> Result<GateRecord, String> {
     })
 }
 
-/// What is drawn, and by which gains cameras see it.
+/// Reads everything that is drawn, and the cameras' gains and offsets.
 fn read_parameters(arrays: &Arrays, first: Option<&Checkpoint>) -> Result<Parameters, String> {
     let means = get::<f32>(arrays, "means")?;
-    // Where none was born and none died there are as many as at first.
+    // Without births and deaths the number of Gaussians is that of the first timestep.
     let n = match first {
         Some(first) if !has_lifetimes(arrays) => first.parameters.num_gaussians(),
         _ => means.len() / 3,
@@ -449,14 +449,14 @@ fn read(arrays: &Arrays, first: Option<&Checkpoint>, learned_offset: bool) -> Re
     Ok(Checkpoint { parameters, lifetimes, quantizers, optimizer, scene_radius, gate, born })
 }
 
-/// Whether arrays say who lives when: where not, all live from the first timestep on.
+/// Whether arrays give lifetimes; without them all Gaussians live from the first timestep on.
 fn has_lifetimes(arrays: &Arrays) -> bool {
     LIFETIME_NAMES.iter().any(|name| arrays.contains_key(*name))
 }
 
 fn read_born(arrays: &Arrays, lifetimes: &Lifetimes) -> Result<Pose, String> {
     let num_born = lifetimes.ids.len() - lifetimes.num_first();
-    // Only resuming needs them.
+    // Only a resuming run needs them.
     if num_born == 0 || !Checkpoint::can_resume_from(arrays) {
         return Ok(Pose::default());
     }

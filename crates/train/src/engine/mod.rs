@@ -75,22 +75,21 @@ pub trait Engine: Send + Debug {
     /// Name of the device, for messages: `the CPU, 2 threads`.
     fn name(&self) -> String;
 
-    /// Takes the images of a timestep, one a camera, in the order of the cameras' gains. The state has
-    /// been brought to the timestep's start.
+    /// Takes the images of a timestep, one per camera, in the order of the cameras' gains. The state is already at the
+    /// timestep's start.
     ///
-    /// - `scenery`: what the state is drawn with, where it holds only the rows of a timestep; none where it holds the
-    ///   whole scene
+    /// - `scenery`: everything that is drawn around the state, if the state holds only the rows of a timestep; none if
+    ///   it holds the whole scene
     fn begin(&mut self, targets: Vec<Target>, scenery: Option<Scenery>) -> Result<(), TrainError>;
 
     /// Computes or submits one iteration: losses and gradients on one image, then one update of the parameters. May
     /// return before the iteration is computed.
     fn step(&mut self, step: &Step<'_>) -> Result<(), TrainError>;
 
-    /// One iteration with a clock: what [`Self::step`] does, with the times of its stages. Waits for it and for all
-    /// before it.
+    /// One iteration with a clock: as [`Self::step`], with the times of its stages. Waits for it and for all before it.
     ///
-    /// Engines name the same work by the same names, but may run some of it together or in another order. Where a GPU
-    /// has no timestamps there is one stage, `iteration`, by the clock of the CPU.
+    /// Engines use the same names for the same work, but may run some of it together or in another order. A GPU without
+    /// timestamps reports one stage, `iteration`, by the clock of the CPU.
     fn profile(&mut self, step: &Step<'_>) -> Result<StageTimes, TrainError>;
 
     /// The losses that have become known since the last call of this method, in the order of the iterations.

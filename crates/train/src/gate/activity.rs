@@ -1,16 +1,16 @@
-//! Which Gaussians a timestep trains, and what it needs beside them.
+//! Chooses the Gaussians that a timestep trains, and collects their surroundings.
 //!
 //! - A Gaussian's blending weight is the gradient of a picture to its colour, so one backward pass for each view
 //!   measures it, at half the resolution.
 //! - Foreground Gaussians that are hidden or masked have no evidence of their own. They follow their neighbours by
 //!   vote; otherwise they would hold the others back through the losses on motion.
-//! - A view draws the tiles with evidence and those in which active Gaussians show. Without the latter a Gaussian would
-//!   answer for the views that changed alone, and spoil the others.
-//! - The small state holds the active Gaussians, then those that are held because edges of the losses on motion tie
-//!   them to active ones. Losses that are means over the scene's Gaussians are weighted by the part that the small
-//!   state has ([`Shares`]). Quantizers rest, since locked Gaussians share them.
-//! - Stillness is the share of a Gaussian's weight on what has not changed. The loss that uses it is a pull and no
-//!   decision: a Gaussian whose colours fit better elsewhere still goes there.
+//! - A view draws the tiles with evidence and those in which active Gaussians are visible. Without the latter, a
+//!   Gaussian would fit the changed views alone and degrade the others.
+//! - The small state holds the active Gaussians, then the held ones, which edges of the losses on motion tie to active
+//!   ones. Losses that are means over the scene's Gaussians are weighted by the small state's share ([`Shares`]).
+//!   Quantizers are not updated, since locked Gaussians share them.
+//! - Stillness is the share of a Gaussian's weight on unchanged content. The loss that uses it pulls and does not
+//!   decide: a Gaussian whose colours fit better elsewhere still moves there.
 
 use rayon::prelude::*;
 use tcgs_core::{Activated, Camera, Image, Pinhole};
@@ -33,39 +33,40 @@ use crate::state::{GradientStatistic, State};
 const MIN_WEIGHT: f32 = 1e-3;
 /// Rounds in which neighbours wake each other.
 const MAX_VOTES: usize = 10;
-/// How far behind what a picture shows a Gaussian is still a part of it, in pixels' extents.
+/// Depth margin behind the picture's surface within which a Gaussian counts as visible, in extents of a pixel.
 const BEHIND: f32 = 4.0;
-/// Share of a pixel's colour from which on active Gaussians answer for it.
+/// Least share of a pixel's colour for which active Gaussians answer.
 const MIN_SHARE: f32 = 0.1;
 
-/// What a timestep trains: Gaussians, and tiles of views.
+/// The part of a scene that a timestep trains: Gaussians, and tiles of views.
 #[derive(Clone, Debug)]
 pub(crate) struct Activity {
     /// Indices of the active Gaussians, ascending.
     pub active: Vec<usize>,
     /// Indices of the Gaussians that are held because the losses on motion tie them to active ones, ascending.
     pub held: Vec<usize>,
-    /// `[N]` share of each Gaussian's blending weight on what has not changed in any view, 0 to 1; 0 of one that is not seen.
-    /// Empty if nothing has changed in any.
+    /// `[N]` share of each Gaussian's blending weight on content that has not changed, 0 to 1; 0 if no view sees it.
+    /// Empty if no view has changed.
     pub stillness: Vec<f32>,
-    /// `[N]` share of the pixels of all views that each Gaussian makes up; empty if nothing has changed in any.
+    /// `[N]` share of the pixels of all views that each Gaussian makes up; empty if no view has changed.
     pub pixels: Vec<f32>,
     /// `[cameras]`, the tiles that are drawn.
     pub tiles: Vec<TileMask>,
-    /// Positions of the views that have such tiles; none if no Gaussian is active.
+    /// Positions of the views with such tiles; empty if no Gaussian is active.
     pub cameras: Vec<usize>,
     /// The active Gaussians as drawn before the timestep.
     pub before: Activated,
-    /// What the timestep is drawn with; none if no Gaussian is active.
+    /// The scenery of the timestep; none if no Gaussian is active.
     pub scenery: Option<Scenery>,
-    /// `[cameras][active]` blending weights before the timestep, in pixels; 0 where the centre is hidden. Empty without matches.
+    /// `[cameras][active]` blending weights before the timestep, in pixels; 0 if the centre is hidden. Empty without
+    /// matches.
     pub weights: Vec<Vec<f32>>,
-    /// `[active, 3]` what to add to where they would be at constant velocity, scene units; empty for nothing.
+    /// `[active, 3]` corrections to their positions at constant velocity, scene units; empty for none.
     pub corrections: Vec<[f32; 3]>,
 }
 
 impl Activity {
-    /// - `state`: as the timestep before left it
+    /// - `state`: after the previous timestep
     /// - `pictures`: `[cameras]`, of this state
     pub(super) fn new(
         state: &State,
@@ -132,7 +133,7 @@ impl Activity {
         }
         activity.active.iter().for_each(|&i| is_held[i] = false);
         activity.held = indices(&is_held);
-        // Where they are seen, active Gaussians answer for it, changed or not.
+        // Active Gaussians answer for every tile in which they are visible, changed or not.
         let colors = is_active.iter().map(|&active| f32::from(u8::from(active))).collect();
         let shares = Activated { colors, num_channels: 1, ..all.clone() };
         for (tiles, target) in activity.tiles.iter_mut().zip(targets) {
@@ -160,7 +161,7 @@ impl Activity {
         [&self.active[..], &self.held].concat()
     }
 
-    /// The small state: the rows of `state`, with the part of the past that concerns them.
+    /// The small state: the rows of `state`, with their part of the past.
     pub fn excerpt(&self, state: &State) -> State {
         let rows = self.rows();
         let parameters = state.parameters.select(&rows);
@@ -180,13 +181,13 @@ impl Activity {
         State { parameters, lifetimes, optimizer, quantizers, past, statistic, timestep: state.timestep }
     }
 
-    /// The edges that end at an active Gaussian or start from one. In place of an edge between two that are held there is
-    /// one of weight 0, since every node has as many edges as the next.
+    /// The edges that start or end at an active Gaussian. An edge between two held Gaussians is replaced by one of
+    /// weight 0, since all nodes have the same number of edges.
     fn neighbors(&self, whole: &Neighbors<f32>, num_gaussians: usize) -> Neighbors<f32> {
         let rows = self.rows();
         let mut row_of = vec![u32::MAX; num_gaussians];
         rows.iter().enumerate().for_each(|(row, &i)| row_of[i] = row as u32);
-        // Rows of the foreground, and for each Gaussian of the whole foreground its position among them.
+        // Rows of the foreground, each with its position among the whole foreground.
         let mut at: Vec<(u32, usize)> = (whole.foreground.iter().enumerate())
             .filter(|(_, i)| row_of[**i as usize] != u32::MAX)
             .map(|(node, &i)| (row_of[i as usize], node))
@@ -215,9 +216,9 @@ impl Activity {
         Neighbors::from_edges(foreground, per_node, indices, weights, distances)
     }
 
-    /// Puts what a timestep trained back into the whole state.
+    /// Copies the trained values back into the whole state.
     ///
-    /// - `small`: the state that [`Self::excerpt`] made, trained
+    /// - `small`: the trained state from [`Self::excerpt`]
     pub fn put_back(&self, small: &State, state: &mut State) {
         let scatter = |from: &[f32], to: &mut [f32], components: usize| scatter(&self.active, from, to, components);
         state.parameters.put(&self.active, &small.parameters);
@@ -233,7 +234,7 @@ impl Activity {
         o.mask.step = small.optimizer.mask.step;
     }
 
-    /// What share of the scene's Gaussians the small state has.
+    /// The small state's share of the scene's Gaussians.
     pub fn shares(&self, state: &State) -> Shares {
         let foreground = &state.parameters.foreground;
         let rows: Vec<bool> = self.rows().into_iter().map(|i| foreground[i]).collect();
@@ -241,7 +242,7 @@ impl Activity {
     }
 }
 
-/// What some rows are drawn with in some tiles.
+/// The scenery of some rows in some tiles.
 ///
 /// - `drawn`: the scene, with these rows
 /// - `rows`: indices into the scene; the first `num_active` are trained
@@ -258,7 +259,7 @@ pub(super) fn scenery_of(
     let channels = all.num_channels;
     let mut is_row = vec![false; all.num_gaussians()];
     rows.iter().for_each(|&i| is_row[i] = true);
-    // Indices into the scene, of each view.
+    // Indices into the scene, for each view.
     let reaching: Vec<Vec<u32>> = (tiles.iter().zip(cameras))
         .map(|(tiles, camera)| {
             if tiles.is_empty() {
@@ -293,7 +294,7 @@ pub(super) fn scenery_of(
     }
 }
 
-/// How much a timestep trained.
+/// The trained share of a scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trained {
     /// Share of the Gaussians that were active, in `[0, 1]`.
@@ -303,12 +304,12 @@ pub struct Trained {
 }
 
 impl Trained {
-    /// Of a timestep that trains everything.
+    /// A timestep that trains everything.
     pub const ALL: Self = Self { gaussians: 1.0, tiles: 1.0 };
 }
 
-/// What share of the Gaussians a small state has, by which its losses count: a mean over its rows, times its share, is
-/// their part of the mean over the scene.
+/// The small state's share of the scene's Gaussians, which weights its losses. A mean over the small state times its
+/// share is its part of the mean over the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Shares {
     all: f64,
@@ -317,8 +318,8 @@ pub(crate) struct Shares {
 }
 
 impl Shares {
-    /// - `rows`: of each Gaussian of the small state, whether it is foreground
-    /// - `scene`: likewise
+    /// - `rows`: for each Gaussian of the small state, whether it is foreground
+    /// - `scene`: the same for the scene
     pub fn of(rows: &[bool], scene: &[bool]) -> Self {
         let share = |part: usize, whole: usize| if whole == 0 { 1.0 } else { part as f64 / whole as f64 };
         let count = |rows: &[bool]| rows.iter().filter(|foreground| **foreground).count();
@@ -340,13 +341,13 @@ impl Shares {
         }
     }
 
-    /// The weights that a small state's losses have.
+    /// Weights of a small state's losses.
     pub fn weights(self, weights: &WeightConfig) -> WeightConfig {
         let values = weights.values();
         WeightConfig::from_values(std::array::from_fn(|i| values[i] * self.of_loss(Loss::ALL[i]) as f32))
     }
 
-    /// A small state's losses as their parts of the scene's.
+    /// A small state's losses as parts of the scene's.
     pub fn terms(self, terms: LossTerms) -> LossTerms {
         let values = terms.values();
         LossTerms::from_values(std::array::from_fn(|i| values[i] * self.of_loss(Loss::ALL[i])))
@@ -356,7 +357,7 @@ impl Shares {
 /// The blending weight of every Gaussian in each view: on changed pixels, and on all.
 ///
 /// - `drawn`: `[N]`
-/// - returns: `[views][N]`, in pixels of the resolution that is looked at
+/// - returns: `[views][N]`, in pixels of the lower resolution
 fn weights(drawn: &Activated, targets: &[Target], evidence: &[Evidence]) -> Vec<Vec<[f32; 2]>> {
     let of_view = |(target, evidence): (&Target, &Evidence)| {
         let (step, camera) = (weights_step(&target.camera), looked_at(&target.camera));
@@ -368,12 +369,12 @@ fn weights(drawn: &Activated, targets: &[Target], evidence: &[Evidence]) -> Vec<
     targets.iter().zip(evidence).map(of_view).collect()
 }
 
-/// A camera at the resolution at which weights are looked at.
+/// The camera at the resolution at which weights are measured.
 fn looked_at(camera: &Camera) -> Camera {
     camera.downscaled(weights_step(camera))
 }
 
-/// Which Gaussians have their centre no further than what the picture shows there.
+/// Whether each Gaussian's centre is no further than the surface that the picture shows there.
 ///
 /// - `all`, `means`: `[N]`
 /// - returns: `[N]`
@@ -393,7 +394,7 @@ fn shown(all: &Activated, means: &[[f32; 3]], camera: &Camera) -> Vec<bool> {
 
 /// The tiles in which some Gaussians make up a visible part of the picture.
 ///
-/// - `shares`: all Gaussians, with one channel: 1 of those, 0 of all others
+/// - `shares`: all Gaussians, with one channel: 1 for those in question, 0 for all others
 fn tiles_shown(shares: &Activated, camera: &Camera) -> TileMask {
     let mut tiles = TileMask::none(camera.width, camera.height);
     let (step, camera) = (weights_step(camera), looked_at(camera));
@@ -407,15 +408,15 @@ fn tiles_shown(shares: &Activated, camera: &Camera) -> TileMask {
 
 /// 1 at pixels of marked blocks, 0 elsewhere.
 ///
-/// - `step`: pixels of the blocks' image for one of the plane
+/// - `step`: pixels of the blocks' image per pixel of the plane
 fn mark(blocks: &Blocks, step: usize, width: usize, plane: &mut [f32]) {
     for (i, value) in plane.iter_mut().enumerate() {
         *value = f32::from(u8::from(blocks.at(i % width * step, i / width * step)));
     }
 }
 
-/// Wakes those of whose neighbours at least as many are active as are seen to be still: the inside of what moves changes
-/// less than its edges, and what is hidden or masked moves with what is around it.
+/// Wakes a Gaussian if at least as many of its neighbours are active as are seen to be still. The inside of a moving
+/// object changes less than its edges, and hidden or masked Gaussians move with their surroundings.
 ///
 /// - `is_seen`: `[N]`, whether a Gaussian's own evidence counts
 /// - `is_active`: `[N]`, added to
@@ -424,7 +425,7 @@ fn vote(neighbors: &Neighbors<f32>, is_seen: &[bool], is_active: &mut [bool]) {
     for _ in 0..MAX_VOTES {
         let woken: Vec<u32> = (foreground.par_iter().enumerate())
             .filter(|(node, i)| {
-                // Who lacks neighbours has edges to itself.
+                // The list of a node that lacks neighbours is filled with edges to itself.
                 let ends = indices[node * per_node..(node + 1) * per_node].iter().filter(|end| **end as usize != *node);
                 let ends = ends.map(|&end| foreground[end as usize]);
                 let (mut active, mut still) = (0, 0);
@@ -470,7 +471,7 @@ mod tests {
         state.past = Some(Past::new(Pose::of(&first), first, &[true; 3]));
         let camera = Camera::look_at([0.0, 0.0, -2.0], [0.0; 3], [0.0, -1.0, 0.0], 60.0, 64, 48);
         let target = Target { camera, image: Image::filled(64, 48, 3, 0.0) };
-        // The left half of the image, and what of the middle the right one still reaches.
+        // The left half of the image, and the part of the middle that the right Gaussian still reaches.
         let (mut blocks, mut tiles) = (Blocks::none(64, 48), TileMask::none(64, 48));
         blocks.mark(0..44, 0..48);
         tiles.insert_pixels(0..44, 0..48);
@@ -487,7 +488,7 @@ mod tests {
 
     #[test]
     fn who_was_born_with_few_others_is_woken_by_them() {
-        // So many at first that six others lack most of the edges that each has.
+        // Enough Gaussians at first that the six others lack most of their edges.
         let means: Vec<[f32; 3]> = (0..36).map(|i| [0.001 * i as f32, 0.0, 0.0]).collect();
         let births: Vec<u32> = (0..36).map(|i| if i < 30 { 0 } else { 4 }).collect();
         let neighbors = Neighbors::among(&means, &[true; 36], &births);

@@ -1,9 +1,9 @@
 //! Evidence that something changed in a view from one timestep to the next: differences of images beyond the camera's
 //! noise, and errors of the scene's picture that have grown.
 //!
-//! The level of noise is measured in the same blocks: the median difference plus some robust standard deviations. It is
-//! the median over nine timesteps, so that one flash does not count as noise. Grown errors find slow drifts, which no
-//! difference of two images shows. The gate gets used to an error that training could not lower, by a quarter in each
+//! The noise level is measured in the same blocks: the median difference plus some robust standard deviations. It is
+//! the median over nine timesteps, so that one flash does not count as noise. Grown errors reveal slow drifts, which no
+//! difference of two images shows. If training could not lower an error, the gate accepts a quarter of it in each
 //! timestep.
 
 use std::ops::Range;
@@ -15,7 +15,7 @@ use tcgs_render::{TILE, TileMask};
 const COLORS: usize = 3;
 /// Side in pixels of the blocks whose difference is averaged against noise.
 const BLOCK: usize = 4;
-/// Standard deviation of a normal variable whose median distance to its median is 1.
+/// Standard deviation of a normal variable whose median absolute deviation is 1.
 const NORMAL_DEVIATION: f32 = 1.4826;
 
 /// Blocks of an image, of [`BLOCK`] pixels a side; those at the right and lower edge may be cut.
@@ -101,19 +101,19 @@ pub(super) fn differences(before: &Image, now: &Image) -> Vec<f32> {
     means
 }
 
-/// The difference up to which noise explains a block: the median over the blocks and so many standard deviations, which
-/// are estimated robustly. What moves is in fewer than half of the blocks; the noise of cameras and of video compression
-/// is in all.
+/// The difference up to which noise explains a block: the median over the blocks plus `deviations` robust standard
+/// deviations. Moving content covers fewer than half of the blocks; noise of cameras and of video compression is in
+/// all.
 ///
 /// - `differences`: of the blocks of one view
-/// - `deviations`: how many
+/// - `deviations`: number of standard deviations
 pub(super) fn noise_level(differences: &[f32], deviations: f32) -> f32 {
     let middle = median(differences);
     let distances: Vec<f32> = differences.iter().map(|difference| (difference - middle).abs()).collect();
     middle + deviations * NORMAL_DEVIATION * median(&distances)
 }
 
-/// The upper median; 0 of no values.
+/// The upper median; 0 without values.
 pub(crate) fn median(values: &[f32]) -> f32 {
     let mut values = values.to_vec();
     let middle = values.len() / 2;
@@ -131,7 +131,7 @@ pub(super) fn changed_blocks(differences: &[f32], limit: f32, width: usize, heig
     let blocks = Blocks { is_marked: differences.iter().map(|difference| *difference > limit).collect(), ..all };
     let supported = blocks.with_around(2);
     let is_marked = blocks.is_marked.iter().zip(&supported.is_marked).map(|(own, near)| *own && *near).collect();
-    // One block more on each side: the edge of what moves is where the least changes.
+    // One more block on each side: the edge of a moving object changes least.
     Blocks { is_marked, ..blocks }.with_around(1)
 }
 

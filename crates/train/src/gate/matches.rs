@@ -1,11 +1,11 @@
-//! Where a timestep starts: matches between its images and those of the timestep before.
+//! Corrects the starts of a timestep by matches between its images and those of the timestep before.
 //!
-//! A timestep starts where everything would be at constant velocity. From a start that is further off than a few of a
-//! Gaussian's own widths no gradient leads back, as for what is thrown, caught, or seen at few frames a second. So small
-//! groups of active Gaussians look for the place at which the new images show what the last ones showed at theirs: a block
-//! matching from coarse to fine (Lucas and Kanade 1981), whose displacements are points of space and not of an image, so
-//! that all views decide together. Who is explained where it starts has no say, and where no other place explains the
-//! others much better, nothing is moved.
+//! A timestep starts with every Gaussian at constant velocity. If that start is off by more than a few of a Gaussian's
+//! own widths, no gradient leads back: thrown and caught objects, or captures of few frames a second. Small groups of
+//! active Gaussians therefore search for the place at which the new images show what the previous images showed at
+//! their old place. The search is a coarse-to-fine block matching (Lucas and Kanade 1981). Its displacements are in
+//! space, not in an image, so that all views decide together. A Gaussian that its start explains has no say. If no
+//! other place explains the rest much better, the group is not moved.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -19,31 +19,31 @@ use super::median;
 
 /// Pixels from the centre of a group to its border, at each resolution.
 const RADIUS: f32 = 6.0;
-/// Pixels that the shorter side of an image has at least.
+/// Least length of the shorter side of an image, pixels.
 const SMALLEST: usize = 20;
-/// Gaussians of a group that are compared, at most.
+/// Most Gaussians of a group that are compared.
 const MOST_SAMPLES: usize = 24;
-/// Views in which they are compared, at most: those that show the most of them.
+/// Most views in which they are compared: those that show the most of them.
 const MOST_VIEWS: usize = 8;
-/// Share of these views that count, those that fit best: in the others they may be hidden.
+/// Share of these views that count, best fits first; the Gaussians may be hidden in the others.
 const COUNTED: f32 = 0.67;
 /// Least blending weight of a group in a view, pixels.
 const MIN_WEIGHT: f32 = 0.1;
-/// Difference of colours from which on it does not matter how much they differ.
+/// Limit at which differences of colours are clamped.
 const MOST_DIFFERENCE: f32 = 0.2;
-/// Difference of colours from which on a Gaussian is not explained at all.
+/// Difference of colours at and above which a Gaussian counts as fully unexplained.
 const UNEXPLAINED: f32 = 0.1;
-/// Share of a group that is not explained, below which it has no reason to move.
+/// A group with a smaller unexplained share than this is not moved.
 const MIN_UNEXPLAINED: f32 = 0.02;
-/// A group is moved if its difference of colours is below this share of that at the start.
+/// A group is moved if its difference of colours is below this share of the one at the start.
 const BETTER: f32 = 0.7;
-/// Difference of colours by which a Gaussian of a group that is moved may itself be worse.
+/// A moved Gaussian's own difference of colours may grow by this much.
 const TOLERANCE: f32 = 0.02;
-/// Pixels in each direction that are searched at the lowest resolution.
+/// Search range at the lowest resolution, pixels in each direction.
 const RANGE: i32 = 4;
-/// Steps of at most a pixel at every resolution.
+/// Number of steps, of at most a pixel each, at every resolution.
 const STEPS: usize = 6;
-/// Directions of a step.
+/// Directions of these steps.
 const DIRECTIONS: [[f32; 3]; 6] =
     [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]];
 
@@ -52,12 +52,12 @@ const DIRECTIONS: [[f32; 3]; 6] =
 pub(super) struct Mover {
     /// Centre at the timestep before, scene units.
     pub mean: [f32; 3],
-    /// Its displacement at constant velocity, scene units.
+    /// Displacement at constant velocity, scene units.
     pub velocity: [f32; 3],
     pub foreground: bool,
 }
 
-/// What is matched.
+/// The search for corrections, over all movers and views.
 pub(super) struct Matches<'a> {
     movers: &'a [Mover],
     /// `[views][N]`
@@ -68,7 +68,7 @@ pub(super) struct Matches<'a> {
 
 impl<'a> Matches<'a> {
     /// - `movers`: `[N]`
-    /// - `weights`: `[views][N]` their blending weights at the timestep before, pixels
+    /// - `weights`: `[views][N]`, blending weights at the timestep before, pixels
     /// - `before`, `now`: `[views]` images of the two timesteps, `[3 or more, H, W]`
     pub fn new(
         movers: &'a [Mover],
@@ -85,9 +85,9 @@ impl<'a> Matches<'a> {
         Self { movers, weights, sights: sights.collect() }
     }
 
-    /// How far the starts of Gaussians at constant velocity are off.
+    /// Corrections to the starts at constant velocity.
     ///
-    /// - returns: `[N]` what to add to them, scene units; 0 for those that are not moved
+    /// - returns: `[N]`, scene units; 0 for Gaussians that are not moved
     pub fn corrections(&self) -> Vec<[f32; 3]> {
         let Some(pixel) = self.pixel_extent() else { return vec![[0.0; 3]; self.movers.len()] };
         let num_levels = self.sights.iter().map(|sight| sight.before.len()).min().unwrap_or(0);
@@ -107,9 +107,9 @@ impl<'a> Matches<'a> {
         (0..self.movers.len()).into_par_iter().map(|i| self.correction(i, &groups, radius)).collect()
     }
 
-    /// What the groups around a Gaussian say of it, if that does not make it worse.
+    /// The mean correction of the groups around a Gaussian; 0 if that would make the Gaussian's own match worse.
     ///
-    /// - `radius`: of the groups
+    /// - `radius`: radius of the groups
     fn correction(&self, i: usize, groups: &Groups, radius: f32) -> [f32; 3] {
         let mover = &self.movers[i];
         let (mut sum, mut weights) = ([0.0; 3], 0.0);
@@ -131,7 +131,7 @@ impl<'a> Matches<'a> {
         if is_worse { [0.0; 3] } else { correction }
     }
 
-    /// The extent of a pixel where Gaussians are, scene units: the median over some of them and all views.
+    /// Extent of a pixel at the Gaussians, scene units: the median over some of them and all views.
     fn pixel_extent(&self) -> Option<f32> {
         let some = self.movers.iter().step_by((self.movers.len() / 100).max(1));
         let extent = |pinhole: &Pinhole<f32>, point| Some(pinhole.project(point)?.1 / pinhole.focal[0]);
@@ -140,7 +140,7 @@ impl<'a> Matches<'a> {
         (!extents.is_empty()).then(|| median(&extents))
     }
 
-    /// The Gaussians around each cell of a grid in which some are seen.
+    /// Groups of Gaussians: one around each cell of a grid that holds a visible one.
     fn grouped(&self, radius: f32) -> Vec<Group> {
         let mut cells: BTreeMap<(bool, [i32; 3]), Vec<usize>> = BTreeMap::new();
         for (i, mover) in self.movers.iter().enumerate() {
@@ -170,7 +170,7 @@ impl<'a> Matches<'a> {
     }
 
     /// - `of`: indices of Gaussians
-    /// - `level`: how often the images are halved
+    /// - `level`: number of times that the images are halved
     fn compared(&self, of: &[usize], level: usize) -> Comparison<'_> {
         let mut seen: Vec<(f32, usize)> = (self.weights.iter().enumerate())
             .map(|(view, weights)| (of.iter().map(|&i| weights[i]).sum(), view))
@@ -194,7 +194,7 @@ impl<'a> Matches<'a> {
     }
 }
 
-/// What a camera saw and sees, at full resolution and at halves of it.
+/// Images of a camera at both timesteps, at full resolution and at halves of it.
 struct Sight {
     pinhole: Pinhole<f32>,
     before: Vec<Colors>,
@@ -202,7 +202,7 @@ struct Sight {
 }
 
 impl Sight {
-    /// The place of a point in camera space, pixels at full resolution; none if it is not before the camera.
+    /// Projects a point in camera space to pixels at full resolution; none if it is not before the camera.
     fn place(&self, [x, y, z]: [f32; 3]) -> Option<[f32; 2]> {
         let Pinhole { focal, principal, .. } = &self.pinhole;
         (z > 0.0).then(|| [focal[0] * x / z + principal[0], focal[1] * y / z + principal[1]])
@@ -233,10 +233,10 @@ impl Colors {
         Self { width: image.width, height: image.height, pixels }
     }
 
-    /// The colour at a place between pixels; none outside the image.
+    /// The colour at a position between pixels; none outside the image.
     ///
     /// - `place`: pixels at full resolution
-    /// - `level`: how often the image was halved
+    /// - `level`: number of times that the image was halved
     fn at(&self, place: [f32; 2], level: usize) -> Option<[f32; 3]> {
         let scale = 1.0 / (1 << level) as f32;
         let [x, y] = place.map(|at| at * scale);
@@ -256,37 +256,37 @@ impl Colors {
     }
 }
 
-/// Gaussians near each other, and how far they went.
+/// Gaussians near each other, with their common displacement.
 struct Group {
     center: [f32; 3],
     foreground: bool,
-    /// Indices of those that are compared.
+    /// Indices of the Gaussians that are compared.
     samples: Vec<usize>,
-    /// Mean of their displacements at constant velocity.
+    /// Mean displacement at constant velocity.
     velocity: [f32; 3],
     displacement: [f32; 3],
-    /// Whether their starts are so much worse that they are moved.
+    /// Whether the start is so much worse that the group is moved.
     is_off: bool,
 }
 
-/// What is compared of some Gaussians: of each of some views those that it shows.
+/// The samples of some Gaussians that are compared: for some views, those that each view shows.
 struct Comparison<'a> {
     level: usize,
     views: Vec<(&'a Sight, Vec<Sample>)>,
 }
 
 struct Sample {
-    /// Where it was, in camera space.
+    /// Position at the timestep before, in camera space.
     point: [f32; 3],
     weight: f32,
-    /// In the image of the timestep before.
+    /// Colour in the image of the timestep before.
     color: [f32; 3],
-    /// Difference from the colour where it starts.
+    /// Difference of colours at the start.
     at_start: f32,
 }
 
 impl Comparison<'_> {
-    /// Weighs Gaussians by how little their starts explain them; without views if these explain nearly all.
+    /// Weighs Gaussians by how badly their starts explain them; leaves no views if the starts explain nearly all.
     fn of_unexplained(mut self) -> Self {
         let (mut whole, mut unexplained) = (0.0, 0.0);
         for sample in self.views.iter_mut().flat_map(|(_, samples)| samples) {
@@ -300,9 +300,9 @@ impl Comparison<'_> {
         self
     }
 
-    /// Mean difference of colours, of the views that fit best.
+    /// Mean difference of colours in the best-fitting views.
     ///
-    /// - `displacement`: how far they have gone; none: each to its start
+    /// - `displacement`: displacement of all samples; none leaves each at its start
     fn difference(&self, displacement: Option<[f32; 3]>) -> f32 {
         let of_view = |(sight, samples): &(&Sight, Vec<Sample>)| {
             let way: Option<[f32; 3]> = displacement.map(|by| sight.pinhole.rotation.map(|row| dot(row, by)));
@@ -326,11 +326,11 @@ impl Comparison<'_> {
         counted.iter().sum::<f32>() / counted.len() as f32
     }
 
-    /// Finds how far a group went.
+    /// Finds the displacement of a group.
     ///
-    /// - `hints`: how far others went
-    /// - `extent`: of a pixel at this resolution, scene units
-    /// - `range`: of the search around the start, pixels
+    /// - `hints`: displacements of coarser groups
+    /// - `extent`: extent of a pixel at this resolution, scene units
+    /// - `range`: search range around the start, pixels
     fn search(&self, group: &mut Group, hints: impl Iterator<Item = [f32; 3]>, extent: f32, range: i32) {
         if self.views.len() < 2 {
             return;
@@ -344,7 +344,7 @@ impl Comparison<'_> {
             }
             best.1
         };
-        // Or it stopped.
+        // The first candidate: the group has stopped.
         let mut at = compare([0.0; 3]);
         for hint in hints {
             at = compare(hint);
@@ -378,11 +378,11 @@ fn squared_distance(a: [f32; 3], b: [f32; 3]) -> f32 {
     (0..3).map(|i| (a[i] - b[i]).powi(2)).sum()
 }
 
-/// Groups that are found by their place, foreground and background apart.
+/// Groups by position, foreground and background apart.
 #[derive(Default)]
 struct Groups {
     all: Vec<Group>,
-    /// Of the background and of the foreground: the centres, and the indices of the groups.
+    /// The background's tree, then the foreground's: the centres, and the indices of the groups.
     trees: [Option<(ImmutableKdTree<f32, 3>, Vec<usize>)>; 2],
 }
 
@@ -413,7 +413,7 @@ impl Groups {
 mod tests {
     use super::*;
 
-    /// A wall with blots of many colours, before which a board with others stands.
+    /// A wall with blots of many colours, and before it a board with other blots.
     fn color([x, y]: [f32; 2], board: [f32; 2]) -> [f32; 3] {
         let [u, v] = [x - board[0], y - board[1]];
         let (u, v, which) = if u.abs().max(v.abs()) < 0.3 { (u, v, 1) } else { (x, y, 2) };
@@ -442,7 +442,7 @@ mod tests {
         image
     }
 
-    /// Gaussians of the board, which goes right by half its width, and of the wall.
+    /// Gaussians of the board, which moves right by half its width, and of the wall.
     #[test]
     fn what_went_further_than_its_velocity_is_found_and_what_did_not_stays() {
         let eyes = [[-0.5, 0.2, -2.0], [0.6, 0.3, -2.2], [0.1, -0.7, -2.0], [0.2, 0.6, -1.9]];

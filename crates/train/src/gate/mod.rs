@@ -1,18 +1,18 @@
-//! The gate: which Gaussians and which tiles a timestep trains.
+//! The gate: chooses the Gaussians and the tiles that a timestep trains.
 //!
-//! Between two frames of most captures nearly nothing changes. From the images of a timestep and the state before it, the
-//! gate decides what does:
+//! Between two frames of most captures almost nothing changes. The gate compares a timestep's images with the state
+//! before it and decides what changed:
 //!
-//! 1. **Evidence** (`evidence`): blocks of a view whose image differs from the one before by more than the camera's noise,
-//!    and tiles in which the error of the scene's picture has grown since they were last trained.
-//! 2. **Activity** (`activity`): a Gaussian is *active* if enough of what it contributes to all pictures falls on blocks
-//!    with evidence; every other Gaussian is *locked* and keeps every bit. What a Gaussian contributes is its blending
-//!    weight, which is the gradient of a picture to a colour.
-//! 3. **Matches** (`matches`): where active Gaussians start that went elsewhere than their velocity says.
-//! 4. The timestep then trains a small state, the active Gaussians, in the tiles with evidence, against the `Scenery` of
-//!    all else ([`crate::engine::Scenery`]).
-//! 5. The iterations follow need (`pace`).
-//! 6. Gaussians die that no camera has seen for long ([`Gate::dying`]).
+//! 1. **Evidence** (`evidence`): blocks of a view whose image differs from the previous image by more than the camera's
+//!    noise. Also tiles in which the error of the scene's picture has grown since they were last trained.
+//! 2. **Activity** (`activity`): a Gaussian is *active* if a large enough share of its contribution to all pictures
+//!    falls on blocks with evidence. Every other Gaussian is *locked* and keeps every bit. A Gaussian's contribution is
+//!    its blending weight, the gradient of a picture to its colour.
+//! 3. **Matches** (`matches`): the start of active Gaussians whose motion differs from constant velocity.
+//! 4. The timestep then trains a small state, the active Gaussians, in the tiles with evidence, against the `Scenery`
+//!    of everything else ([`crate::engine::Scenery`]).
+//! 5. The losses decide the number of iterations (`pace`).
+//! 6. Gaussians that no camera has seen for long die ([`Gate::dying`]).
 //!
 //! The reference, and the presets `d3dgs` and `paper`, train everything everywhere.
 
@@ -40,39 +40,39 @@ use crate::lifetimes::Lives;
 use crate::mask::mask;
 use crate::state::State;
 
-/// Estimates of a camera's noise of which the median counts.
+/// The number of noise estimates of a camera whose median counts.
 const NOISE_ESTIMATES: usize = 9;
-/// Share of the level of noise by which a tile's error may grow without being evidence, beyond [`GateConfig::growth`]: a
+/// A tile's error may grow by this share of the noise level without being evidence, beyond [`GateConfig::growth`]. A
 /// tile has sixteen blocks.
 const GROWTH_NOISE: f32 = 0.1;
-/// A block is not explained if its error is above so many times that of its tile when it was last explained, beyond
+/// A block is unexplained if its error exceeds this multiple of its tile's error when that was last explained, beyond
 /// [`BirthConfig::contrast`](crate::BirthConfig::contrast).
 const UNEXPLAINED_GROWTH: f32 = 1.5;
-/// Share of an error that training could not lower that the gate gets used to in one timestep. Until then the tile stays
-/// one with evidence: what was uncovered is seen by the weights of the next timestep.
+/// When training could not lower a tile's error, the gate accepts this share of the growth per timestep. Until then the
+/// tile still has evidence, because uncovered content has blending weights only from the next timestep on.
 const PATIENCE: f32 = 0.25;
 
-/// Timesteps after that of their birth in which newborn Gaussians start at constant velocity. What enters is first seen in
-/// part, and where it ends, at the edge of what hides it, nothing moves.
+/// Newborn Gaussians start at constant velocity in this many timesteps after the one of their birth. An entering object
+/// is seen only in part at first, and its visible end, the edge of its occluder, does not move.
 const ENTRY: u32 = 2;
 
-/// What the gate knows at the end of a timestep and cannot see again: part of a checkpoint.
+/// State of the gate at the end of a timestep that cannot be measured again: part of a checkpoint.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GateRecord {
-    /// `[cameras][up to 9]` the last estimates of each camera's noise, the newest last: the mean absolute difference up to
+    /// `[cameras][up to 9]` the last noise estimates of each camera, newest last: the mean absolute difference up to
     /// which noise explains a block, in units of colour.
     pub noise: Vec<Vec<f32>>,
-    /// `[cameras][tiles]` mean absolute error of the scene's picture in each tile, as it was when last trained.
+    /// `[cameras][tiles]` mean absolute error of the scene's picture in each tile, when it was last trained.
     pub errors: Vec<Vec<f32>>,
-    /// `[N]` first of the timesteps, up to the last one looked at, at which no camera saw a Gaussian; [`Lives::NEVER`] of one
-    /// that was seen then. Empty where none dies.
+    /// `[N]` timestep since which no camera has seen the Gaussian, as of the last `Gate::look`; [`Lives::NEVER`] if
+    /// one saw it then. Empty if deaths are off.
     pub unseen: Vec<u32>,
 }
 
-/// What the gate remembers of each view from one timestep to the next.
+/// The gate's memory of each view from one timestep to the next.
 #[derive(Clone, Debug)]
 struct Memory {
-    /// `[3, H, W]`, the image of the timestep before.
+    /// `[3, H, W]`, images of the previous timestep.
     images: Vec<Image>,
     /// `[C, H, W]`, the scene as it is now, before the cameras' gain and offset.
     pictures: Vec<Image>,
@@ -95,16 +95,16 @@ struct Evidence {
 }
 
 impl Gate {
-    /// - `record`: of the checkpoint that a run goes on from; empty at its start
+    /// - `record`: from the checkpoint that the run resumes from; empty at the start of a run
     pub fn new(config: &GateConfig, mask: &MaskConfig, deaths: &DeathConfig, record: GateRecord) -> Self {
         let (config, mask, deaths) = (config.clone(), mask.clone(), deaths.clone());
-        // A run may go on without deaths.
+        // A resumed run may have deaths switched off.
         let unseen = if deaths.patience > 0 { record.unseen } else { Vec::new() };
         let record = GateRecord { unseen, ..record };
         Self { config, mask, deaths, record, memory: None }
     }
 
-    /// Whether it has a record and lacks the images that go with it.
+    /// Whether the gate has a record but lacks the images that belong to it.
     pub fn forgot(&self) -> bool {
         self.memory.is_none() && !self.record.errors.is_empty()
     }
@@ -113,14 +113,14 @@ impl Gate {
         &self.record
     }
 
-    /// Takes the images of the timestep that a run goes on from.
+    /// Takes the images of the timestep from which a run resumes.
     pub fn recall(&mut self, state: &State, views: &[View], with_segmentation: bool) {
         if self.record.errors.len() == views.len() {
             self.remember(state, views, with_segmentation);
         }
     }
 
-    /// Takes what a timestep left that trained everything.
+    /// Starts from the result of a timestep that trained everything.
     pub fn begin(&mut self, state: &State, views: &[View], with_segmentation: bool) {
         self.record = GateRecord { noise: vec![Vec::new(); views.len()], ..GateRecord::default() };
         self.remember(state, views, with_segmentation);
@@ -140,10 +140,10 @@ impl Gate {
         self.memory = Some(Memory { images, pictures });
     }
 
-    /// Finds what a timestep has to train.
+    /// Finds what a timestep must train.
     ///
-    /// - `state`: as the timestep before left it, with its past
-    /// - returns: none if the gate does not know what was before; everything then counts as changed
+    /// - `state`: after the previous timestep, with its past
+    /// - returns: `None` if the gate does not know the previous images; everything then counts as changed
     pub fn look(&mut self, state: &State, targets: &[Target]) -> Option<Activity> {
         let memory = self.memory.as_ref().filter(|memory| memory.images.len() == targets.len())?;
         let fits = |(image, target): (&Image, &Target)| {
@@ -190,22 +190,22 @@ impl Gate {
         Some(activity)
     }
 
-    /// A state with the channels of the pictures.
+    /// The state as drawn, with as many channels as the pictures.
     pub fn drawn(&self, state: &State) -> Drawn {
         let with_segmentation = self.memory.as_ref().is_some_and(|memory| memory.pictures[0].num_channels > 3);
         Drawn::new(state, &self.mask, with_segmentation)
     }
 
-    /// Draws anew what a timestep changed that trained an activity.
+    /// Redraws the pictures where the Gaussians of an activity changed.
     ///
     /// - `state`: after the timestep
     pub fn redraw(&mut self, state: &State, views: &[View], activity: &Activity) {
         self.redraw_rows(state, views, &activity.active, &activity.before);
     }
 
-    /// Draws what was born at the end of a timestep.
+    /// Draws the Gaussians born at the end of a timestep.
     ///
-    /// - `count`: how many, the last ones of `state`
+    /// - `count`: their number; they are the last ones of `state`
     pub fn welcome(&mut self, state: &State, views: &[View], count: usize) {
         let n = state.parameters.num_gaussians();
         let channels = self.memory.as_ref().map_or(3, |memory| memory.pictures[0].num_channels);
@@ -216,10 +216,10 @@ impl Gate {
         }
     }
 
-    /// Draws anew what some Gaussians changed.
+    /// Redraws the tiles that some Gaussians reach.
     ///
-    /// - `rows`: these
-    /// - `before`: as they were drawn
+    /// - `rows`: indices of these Gaussians
+    /// - `before`: these Gaussians as drawn before
     pub fn redraw_rows(&mut self, state: &State, views: &[View], rows: &[usize], before: &Activated) {
         if rows.is_empty() && before.num_gaussians() == 0 {
             return;
@@ -234,11 +234,12 @@ impl Gate {
         }
     }
 
-    /// Blocks of each view that the scene does not explain, among the tiles that a timestep trained: those whose mean
-    /// absolute error is above one and a half times that of their tile when it was last explained, by more than a contrast
-    /// and the camera's noise.
+    /// Blocks of each view that the scene does not explain, among the tiles trained in a timestep.
     ///
-    /// - `state`: after the timestep, of which [`Self::redraw`] drew the pictures
+    /// A block is unexplained if its mean absolute error exceeds 1.5 times the error of its tile when that was last
+    /// explained, by more than `contrast` and the camera's noise.
+    ///
+    /// - `state`: after the timestep; [`Self::redraw`] has drawn its pictures
     /// - `contrast`: units of colour
     pub fn unexplained(&self, state: &State, views: &[View], activity: &Activity, contrast: f32) -> Vec<Blocks> {
         let Some(memory) = &self.memory else { return Vec::new() };
@@ -259,11 +260,12 @@ impl Gate {
         views.par_iter().enumerate().map(of_view).collect()
     }
 
-    /// Gaussians that die: those that no camera has seen for long, and that their masks hide or that stand elsewhere than where
-    /// they were born. What is at rest where it was born may be uncovered, and cameras may move.
+    /// Gaussians that die: no camera has seen them for long, and their masks hide them or they are away from their
+    /// place of birth. A Gaussian at rest at its place of birth lives on, because it may be uncovered or the cameras
+    /// may move.
     ///
-    /// Who was seen is known from where all stood when the timestep began: one that came into view in this very timestep dies,
-    /// and births make up for it.
+    /// Visibility is measured at the positions at the start of the timestep. A Gaussian that comes into view during
+    /// this very timestep therefore dies, and births replace it.
     ///
     /// - `state`: after the timestep
     /// - returns: indices, ascending
@@ -286,20 +288,20 @@ impl Gate {
         if dying.len() < means.len() { dying } else { Vec::new() }
     }
 
-    /// Forgets Gaussians that died.
+    /// Removes dead Gaussians from the record and the pictures.
     ///
     /// - `state`: without them
-    /// - `dead`: their indices before
-    /// - `before`: as they were drawn
+    /// - `dead`: their indices before the removal
+    /// - `before`: the dead Gaussians as drawn
     pub fn forget(&mut self, state: &State, views: &[View], dead: &[usize], before: &Activated) {
         let mut row = 0..;
         self.record.unseen.retain(|_| row.next().is_some_and(|row| dead.binary_search(&row).is_err()));
         self.redraw_rows(state, views, &[], before);
     }
 
-    /// Takes what a timestep left that trained an activity.
+    /// Updates images and reference errors after a timestep that trained an activity.
     ///
-    /// - `state`: after the timestep, of which [`Self::redraw`] drew the pictures
+    /// - `state`: after the timestep; [`Self::redraw`] has drawn its pictures
     pub fn end(&mut self, state: &State, views: &[View], activity: &Activity) {
         let Some(memory) = &mut self.memory else { return };
         memory.images = views.iter().map(|view| view.image.clone()).collect();
@@ -316,10 +318,10 @@ impl Gate {
     }
 }
 
-/// What matches between the images of two timesteps add to where active Gaussians would be at constant velocity.
+/// Corrections to the start of active Gaussians at constant velocity, from matches between the images of two timesteps.
 ///
-/// - `state`: as the timestep before left it, with its past
-/// - `before`: `[cameras]` images of that timestep
+/// - `state`: after the previous timestep, with its past
+/// - `before`: `[cameras]` images of the previous timestep
 /// - returns: `[active, 3]`, scene units
 fn corrections(state: &State, activity: &Activity, before: &[Image], targets: &[Target]) -> Vec<[f32; 3]> {
     let Some(past) = &state.past else { return Vec::new() };
@@ -399,7 +401,8 @@ mod tests {
         };
         config.deaths.patience = 4;
         assert_eq!(dying(&config, 8, [4, 4, 4, 4, 4]), [0, 1, 4]);
-        // The first was seen at the last timestep, the second is unseen for three; and nobody dies between two burials.
+        // The first was seen at the last timestep, the second is unseen for three; no Gaussian dies between two
+        // burials.
         assert_eq!(dying(&config, 8, [Lives::NEVER, 5, 1, 1, 1]), [4]);
         assert!(dying(&config, 9, [1; 5]).is_empty());
         config.mask.enabled = false;

@@ -1,4 +1,5 @@
-//! What newborn and young Gaussians are trained in: the tiles that they reach, among the rest of the scene.
+//! The scenery in which newborn and young Gaussians are trained: the tiles that they reach, among the rest of the
+//! scene.
 
 use tcgs_core::{Camera, View};
 use tcgs_render::{TileMask, tiles_reached};
@@ -16,10 +17,10 @@ pub(crate) struct Nursery {
 }
 
 impl Nursery {
-    /// - `gate`: whose pictures are of the scene
-    /// - `all`: the scene, with those that learn
-    /// - `rows`: their indices
-    /// - `unexplained`: `[views]`, drawn besides what they reach
+    /// - `gate`: holds the pictures of the scene
+    /// - `all`: the scene, including the Gaussians that learn
+    /// - `rows`: indices of the Gaussians that learn
+    /// - `unexplained`: `[views]`, drawn in addition to the tiles that they reach
     pub fn new(gate: &Gate, all: &Drawn, rows: &[usize], views: &[View], unexplained: Option<&[Blocks]>) -> Self {
         let pictures = gate.memory.as_ref().map_or(&[][..], |memory| &memory.pictures);
         let few = all.activated().select(rows);

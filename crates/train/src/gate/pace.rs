@@ -9,8 +9,8 @@ use crate::config::GateConfig;
 /// on the view.
 const MIN_STRETCH: usize = 20;
 
-/// The way of one timestep through its schedule: one place of the schedule an iteration, and several from when its losses
-/// have settled, so that the learning rates still come down.
+/// Progress of one timestep through its schedule: one place per iteration, and several once its losses have settled, so
+/// that the learning rates still come down.
 #[derive(Clone, Debug)]
 pub(crate) struct Pace {
     settle: f64,
@@ -47,7 +47,7 @@ impl Pace {
         }
     }
 
-    /// Of a timestep that takes all of its iterations.
+    /// The pace of a timestep that takes all of its iterations.
     pub fn even(length: usize, views: usize) -> Self {
         Self::new(&GateConfig { pace: 1.0, ..GateConfig::OFF }, length, views)
     }
@@ -73,8 +73,8 @@ impl Pace {
         Some(place)
     }
 
-    /// Whether a decision is due: after it [`Self::decide`] looks at the stretch before the last, so that an engine may
-    /// still be computing the last one.
+    /// Whether a decision is due. [`Self::decide`] looks at the last stretch but one, so that an engine may still be
+    /// computing the last one.
     pub fn is_decision_due(&self) -> bool {
         !self.is_settled
             && self.faster > 1.0
@@ -82,7 +82,7 @@ impl Pace {
             && self.begun >= 4 * self.stretch
     }
 
-    /// Takes the loss of an iteration, in their order.
+    /// Takes the loss of an iteration; iterations come in order.
     pub fn hear(&mut self, loss: f64) {
         self.sum = (self.sum.0 + loss, self.sum.1 + 1);
         if self.sum.1 == self.stretch {
@@ -91,12 +91,12 @@ impl Pace {
         }
     }
 
-    /// Whether all losses are known that a decision looks at.
+    /// Whether all losses that a decision needs are known.
     pub fn can_decide(&self) -> bool {
         self.means.len() + 1 >= self.begun / self.stretch
     }
 
-    /// Decides whether the losses have settled, by the stretches up to the last but one.
+    /// Decides from the stretches up to the last but one whether the losses have settled.
     pub fn decide(&mut self) {
         let last = self.begun / self.stretch - 2;
         let falls = self.means[..=last].windows(2).map(|means| means[0] - means[1]);
@@ -109,7 +109,7 @@ impl Pace {
 mod tests {
     use super::*;
 
-    /// Iterations that a timestep takes whose losses are those of `loss`.
+    /// Number of iterations that a timestep takes whose losses are `loss`.
     fn iterations(loss: impl Fn(usize) -> f64, delay: usize) -> usize {
         let mut pace = Pace::new(&GateConfig::ON, 300, 10);
         let (mut begun, mut heard) = (0, 0);
@@ -132,7 +132,7 @@ mod tests {
         assert_eq!(iterations(falls(0.002), 0), 300);
         let (fast, slower) = (iterations(falls(0.08), 0), iterations(falls(0.02), 0));
         assert!(fast < slower && slower < 300, "{fast}, {slower}");
-        // An engine that reports late takes the same way.
+        // An engine that reports late takes the same path.
         assert_eq!(iterations(falls(0.02), 15), slower);
         // The earliest decision is after four passes of twenty.
         assert_eq!(iterations(|_| 1.0, 0), 80 + 220_usize.div_ceil(3));

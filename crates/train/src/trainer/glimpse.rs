@@ -1,4 +1,4 @@
-//! A look into a training: the scene as it is between two iterations, for whoever asks.
+//! A look into a training: the scene between two iterations, on request.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -22,11 +22,11 @@ pub struct Glimpsed {
     pub seconds: f64,
 }
 
-/// Lets other threads ask a training for its scene ([`Trainer::show_to`]). As long as nobody asks nothing is copied, and
-/// whether somebody asks does not change a bit of what is trained.
+/// Lets other threads ask a training for its scene ([`Trainer::show_to`]). The scene is copied on request only, and a
+/// request does not change a bit of the training.
 #[derive(Debug, Default)]
 pub struct Glimpse {
-    /// Locked by whoever asks: one after another.
+    /// Locked by the thread that asks: one after another.
     asking: Mutex<()>,
     is_wanted: AtomicBool,
     taken: Mutex<Option<Glimpsed>>,
@@ -57,27 +57,27 @@ impl Glimpse {
     }
 
     fn taken(&self) -> MutexGuard<'_, Option<Glimpsed>> {
-        // What a panic elsewhere leaves is a scene or none.
+        // A panic elsewhere leaves a scene or none.
         self.taken.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// What the engine's state holds where that is not the whole scene.
+/// The part of the scene in the engine's state.
 pub(super) struct Part<'a> {
-    /// Of the scene.
+    /// Its shares of the scene.
     pub shares: Shares,
-    /// The scene before the timestep, and which of its Gaussians the first rows of the engine's state are; none where the
-    /// state's Gaussians are not part of the scene yet.
+    /// The scene before the timestep, and the indices in it of the first rows of the engine's state. None if the
+    /// state's Gaussians have not joined the scene yet.
     pub of: Option<(&'a Parameters, &'a [usize])>,
 }
 
 impl Trainer {
-    /// Shows the scene between iterations to whoever asks `glimpse`.
+    /// Shows the scene between iterations to threads that ask `glimpse`.
     pub fn show_to(&mut self, glimpse: Arc<Glimpse>) {
         self.glimpse = Some(glimpse);
     }
 
-    /// Gives the scene to whoever asked for it.
+    /// Gives the scene to the thread that asked for it.
     ///
     /// - `iterations`: submitted so far in this timestep
     pub(super) fn give_glimpse(&mut self, part: Option<&Part>, iterations: usize) -> Result<(), TrainError> {

@@ -1,6 +1,6 @@
-//! A training run in progress: how it starts, resumes, and is stored. What does not live here: the iterations of a
-//! timestep and the events between them (`timestep`), when an event is due (`schedule`), and how an iteration is computed
-//! (`engine`).
+//! A training run in progress: its start, its resumption, and its storage. What does not live here: the iterations of a
+//! timestep and the events between them (`timestep`), the time of an event (`schedule`), and the computation of an
+//! iteration (`engine`).
 
 mod births;
 mod glimpse;
@@ -60,7 +60,7 @@ pub struct Trainer {
     schedule: Schedule,
     scene_radius: f32,
     engine: Box<dyn Engine>,
-    /// As in the engine's state, which may be far away.
+    /// As in the engine's state, which may be on another device.
     num_gaussians: usize,
     /// Timesteps finished.
     timestep: usize,
@@ -72,7 +72,7 @@ pub struct Trainer {
     trained: Trained,
     /// Whether the run continues another one's state, so that its first timestep is trained as a later one.
     continues: bool,
-    /// By which other threads ask for the scene.
+    /// The channel through which other threads ask for the scene.
     glimpse: Option<Arc<Glimpse>>,
 }
 
@@ -88,8 +88,8 @@ impl Trainer {
         Self::with_engine(config, cloud, cameras, |state| Box::new(CpuEngine::new(state)))
     }
 
-    /// Starts a run on an engine of the caller's choice; otherwise as [`Self::new`]. The Gaussians carry spherical harmonics
-    /// up to `color.degree`, which begin at 0, and are antialiased as `render.antialiased` says.
+    /// Starts a run on an engine of the caller's choice; otherwise as [`Self::new`]. The Gaussians carry spherical
+    /// harmonics up to `color.degree`, which begin at 0, and are antialiased if `render.antialiased` is set.
     ///
     /// - `make`: makes the engine from the initial state
     ///
@@ -151,8 +151,8 @@ impl Trainer {
         })
     }
 
-    /// Starts a run that continues the state of another one: its first timestep is trained as a later one, without
-    /// density control, and the losses on motion compare with the neighbours in that state.
+    /// Starts a run that continues the state of another one. Its first timestep is trained as a later one, without
+    /// density control. The losses on motion compare with the neighbours in that state.
     ///
     /// - `start`: the state, with a gain and an offset for each training camera
     /// - `make`: makes the engine from the state
@@ -168,7 +168,7 @@ impl Trainer {
     /// - `make`: makes the engine from the resumed state
     ///
     /// # Panics
-    /// If they are not of one run, so that who lives on was not there before.
+    /// If the checkpoints are not of one run, so that a Gaussian that lives on is missing before.
     pub fn resume(
         config: &TrainConfig,
         first: &Checkpoint,
@@ -200,7 +200,7 @@ impl Trainer {
         Self::restored(config, last, Some((start, before_last)), timesteps, true, make)
     }
 
-    /// - `past`: where everything stood at first, and before `last`; none before the first motion
+    /// - `past`: the first checkpoint, and the one before `last`; none before the first motion
     fn restored(
         config: &TrainConfig,
         last: &Checkpoint,
@@ -234,7 +234,7 @@ impl Trainer {
         }
     }
 
-    /// How the next timestep is trained.
+    /// The phase of the next timestep.
     pub fn phase(&self) -> Phase {
         if self.continues { Phase::Rest } else { Phase::of(self.timestep) }
     }
@@ -257,21 +257,21 @@ impl Trainer {
         self.engine.state()
     }
 
-    /// How much of the scene and of its views the timestep that was finished last trained.
+    /// The trained share of the scene and of its views at the last finished timestep.
     pub fn trained(&self) -> Trained {
         self.trained
     }
 
-    /// Whether a resumed run needs [`Self::recall`] to go on as if it had never stopped: whether its gate compares the
-    /// next images with those before.
+    /// Whether a resumed run needs [`Self::recall`] to go on as if it had never stopped: its gate then compares the
+    /// next images with the previous ones.
     pub fn needs_recall(&self) -> bool {
         self.timestep > 0 && self.gate.as_ref().is_some_and(Gate::forgot)
     }
 
-    /// Takes the views of the timestep that was finished last, after a run was resumed. Without it the next timestep
-    /// trains everything, which is slower and gives other bytes than a run that never stopped.
+    /// Takes the views of the last finished timestep, after a run was resumed. Without them the next timestep trains
+    /// everything, which is slower and gives other bytes than an uninterrupted run.
     ///
-    /// - `views`: as [`Self::fit`] was given them for that timestep
+    /// - `views`: those that [`Self::fit`] was given for that timestep
     ///
     /// # Errors
     /// [`TrainError::Gpu`] if the engine failed.
@@ -311,8 +311,8 @@ impl Trainer {
         })
     }
 
-    /// Mean PSNR in dB over views of the timestep that was finished last, with masks and quantisation applied. The
-    /// learned gain and offset of a training camera are applied to the rendering of that camera.
+    /// Mean PSNR in dB over views of the last finished timestep, with masks and quantisation applied. The learned gain
+    /// and offset of a training camera are applied to the rendering of that camera.
     ///
     /// - `views`: training or test views; 0 dB is returned for no views
     ///
@@ -331,7 +331,7 @@ impl Trainer {
     }
 }
 
-/// The past of a state that goes on: what is born after the first timestep joins it with those born together.
+/// The past of a resumed state. Gaussians born after the first timestep join it in groups born together.
 fn past_of(first: &Checkpoint, before_last: &Checkpoint, last: &Checkpoint) -> Past {
     let (now, ids) = (&last.parameters, &last.lifetimes.ids);
     let rows_of = |of: &Checkpoint, ids: &[u32]| -> Option<Vec<usize>> {
@@ -347,7 +347,7 @@ fn past_of(first: &Checkpoint, before_last: &Checkpoint, last: &Checkpoint) -> P
         let begin = past.first.means.len();
         let all = begin..begin + together.len();
         let born = last.born.range(begin - num_first..all.end - num_first);
-        // Who is born at the last timestep has not moved yet.
+        // Gaussians born at the last timestep have not moved yet.
         let previous = select(before_last, &ids[all.clone()])
             .unwrap_or_else(|| now.gaussians.select(&all.clone().collect::<Vec<_>>()));
         past.append(&born, &previous, &now.foreground[all]);
@@ -355,7 +355,7 @@ fn past_of(first: &Checkpoint, before_last: &Checkpoint, last: &Checkpoint) -> P
     past
 }
 
-/// The gate of a run; none where it is off.
+/// The gate of a run; none if it is off.
 fn gate(config: &TrainConfig, record: GateRecord, deaths: &DeathConfig) -> Option<Gate> {
     config.gate.enabled.then(|| Gate::new(&config.gate, &config.mask, deaths, record))
 }
@@ -364,7 +364,7 @@ fn all_segmented(views: &[View]) -> bool {
     views.iter().all(|view| view.segmentation.is_some())
 }
 
-/// That something is missing.
+/// An error for a missing input.
 fn none(what: &str) -> TrainError {
     TrainError::Input { what: what.into(), found: "none".into(), expected: "at least 1".into() }
 }

@@ -38,15 +38,15 @@ pub struct Progress {
     pub loss: f64,
     /// Number of Gaussians during the iteration.
     pub num_gaussians: usize,
-    /// How much of the scene and of its views the timestep trains.
+    /// The trained share of the scene and of its views.
     pub trained: Trained,
 }
 
-/// How far the reports of a timestep's iterations have come.
+/// Progress of the reports of a timestep's iterations.
 struct Report {
     /// As [`Progress::iterations`].
     iterations: usize,
-    /// Of the scene that the engine's state holds; none if it holds all of it.
+    /// Share of the scene in the engine's state; none if the state holds all of it.
     shares: Option<Shares>,
     /// Iterations whose losses are known.
     reported: usize,
@@ -59,11 +59,11 @@ impl Trainer {
     /// - `observe`: receives every iteration's report, and ends the training by [`ControlFlow::Break`]. The CPU engine
     ///   reports an iteration before the next one begins; the GPU engine reports up to 64 iterations later.
     ///
-    /// A timestep is the unit of a run: a checkpoint holds the state between two timesteps, not the moments of Adam and
-    /// the order of views that only matter within one. So a trainer that ended within a timestep, by
-    /// `ControlFlow::Break` or by an error, gives no checkpoint and trains no further;
-    /// [`Run::resume`](crate::Run::resume) goes on after the last finished timestep, with the same bytes as a run that
-    /// was never stopped.
+    /// A timestep is the unit of a run. A checkpoint holds the state between two timesteps, without the moments of Adam
+    /// and the order of views that only matter within one. A trainer that ended within a timestep, by
+    /// `ControlFlow::Break` or by an error, therefore gives no checkpoint and trains no further.
+    /// [`Run::resume`](crate::Run::resume) goes on after the last finished timestep, with the same bytes as an
+    /// uninterrupted run.
     ///
     /// # Errors
     /// [`TrainError::Stopped`] if `observe` broke off; [`TrainError::NotFinite`] if a loss is; [`TrainError::Input`] if
@@ -124,7 +124,7 @@ impl Trainer {
         Ok(())
     }
 
-    /// Removes what no camera has seen for long.
+    /// Removes Gaussians that no camera has seen for long.
     fn bury(&mut self, views: &[View]) -> Result<(), TrainError> {
         let Some(gate) = &mut self.gate else { return Ok(()) };
         let state = self.engine.state()?;
@@ -140,7 +140,7 @@ impl Trainer {
         Ok(())
     }
 
-    /// Trains what is active of a timestep, and leaves the whole state in the engine.
+    /// Trains the active part of a timestep, and leaves the whole state in the engine.
     fn fit_activity(
         &mut self,
         targets: Vec<Target>,
@@ -166,9 +166,9 @@ impl Trainer {
 
     /// The iterations of a timestep.
     ///
-    /// - `cameras`: positions of the views that they go round
-    /// - `part`: of the scene that the engine's state holds; none if it holds all of it
-    /// - `views`: all views, for what the first timestep does between iterations
+    /// - `cameras`: positions of the views to iterate over
+    /// - `part`: the part of the scene in the engine's state; none if it holds all of it
+    /// - `views`: all views, for the events between iterations of the first timestep
     pub(super) fn iterate(
         &mut self,
         phase: Phase,
@@ -183,7 +183,7 @@ impl Trainer {
         let weights = shares.map_or(config.weights, |shares| shares.weights(&config.weights));
         let mut report = Report { iterations: pace.length(), shares, reported: 0 };
         let mut order = Vec::new();
-        // One stream a timestep, so that resuming needs no saved state.
+        // One random stream per timestep, so that resuming needs no saved state.
         let mut random =
             Pcg64Mcg::seed_from_u64(self.config.seed ^ (self.timestep as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15));
         while let Some(place) = pace.next() {
@@ -198,7 +198,7 @@ impl Trainer {
             let reshapes = phase == Phase::First && self.schedule.reshapes(iteration);
             let mut rates = self.schedule.rates(phase, iteration);
             if shares.is_some() {
-                // Quantizers are shared with what is locked.
+                // Locked Gaussians share the quantizers.
                 rates.step = 0.0;
             }
             let step = Step {
@@ -261,7 +261,7 @@ impl Trainer {
         Ok(())
     }
 
-    /// Densifies, removes and resets where the schedule says so.
+    /// Densifies, removes and resets according to the schedule.
     fn reshape(&mut self, iteration: usize, seed: u64, views: &[View]) -> Result<(), TrainError> {
         let state = self.engine.state_mut()?;
         if self.schedule.densifies(iteration) {
@@ -298,7 +298,7 @@ impl Trainer {
             let keep = needed(&[timestep], &Removal { share, most: MOST_REMOVED, costs: None, seed });
             remove_others(state, &keep);
         }
-        // Until the first timestep is finished nobody is told apart.
+        // Identities matter only once the first timestep is finished.
         state.number_anew();
         self.num_gaussians = state.parameters.num_gaussians();
         Ok(())
@@ -315,9 +315,9 @@ impl Trainer {
         Ok(())
     }
 
-    /// Predicts where what is trained goes, and prepares what the losses compare with.
+    /// Predicts the poses of the trained Gaussians, and prepares the reference of the losses.
     ///
-    /// - `activity`: what the timestep trains; none for everything
+    /// - `activity`: the trained part; none if everything is trained
     fn begin_timestep(&mut self, activity: Option<&Activity>) -> Result<(), TrainError> {
         let timestep = self.timestep;
         let state = self.engine.state_mut()?;
@@ -348,7 +348,7 @@ impl Trainer {
         Ok(())
     }
 
-    /// A Gaussian that is not finite is culled by the renderer, so that no loss tells.
+    /// The renderer culls Gaussians that are not finite, so that no loss shows them.
     fn check_finite(&mut self, iteration: usize) -> Result<(), TrainError> {
         let gaussians = &self.engine.state()?.parameters.gaussians;
         for column in gaussians.layout().columns() {

@@ -1,4 +1,4 @@
-//! What is born, on a made capture whose Gaussians are known: a wall, and a ball that enters before it at timestep 2.
+//! Births on a synthetic capture whose Gaussians are known: a wall, and a ball that enters before it at timestep 2.
 
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -25,7 +25,7 @@ fn cameras() -> Vec<Camera> {
         .to_vec()
 }
 
-/// The wall at depth 0 with a pattern, and the ball, if it is there.
+/// The wall at depth 0 with a pattern, and the ball if there is one.
 fn scene(ball: Option<[f32; 3]>) -> Gaussians {
     let mut columns = wall(WALL);
     if let Some(center) = ball {
@@ -40,7 +40,7 @@ fn ball(timestep: usize) -> Option<[f32; 3]> {
     Some([CENTER[0] + 0.05 * since, CENTER[1], CENTER[2]])
 }
 
-/// Images of all cameras, with noise and rounded to 8 bits; with masks where asked for.
+/// Images of all cameras, with noise and rounded to 8 bits; with masks if requested.
 fn views(timestep: usize, with_masks: bool) -> Vec<View> {
     let mut random = Pcg64Mcg::seed_from_u64(timestep as u64);
     let truth = scene(ball(timestep));
@@ -66,11 +66,11 @@ fn views(timestep: usize, with_masks: bool) -> Vec<View> {
 
 fn settings() -> TrainConfig {
     let mut config = TrainConfig::preset(Preset::Fast);
-    // All cameras have one exposure.
+    // All cameras have the same exposure.
     config.rates.camera_centered = false;
     config.schedule.first_iterations = 60;
     config.schedule.rest_iterations = 60;
-    // The wall stays as it is, and masks take part.
+    // The wall is not pruned, and masks are on.
     config.densify.prune_error = 0.0;
     config.mask.enabled = true;
     (config.weights.mask, config.weights.mask_consistency) = (0.05, 0.5);
@@ -82,7 +82,7 @@ fn settings() -> TrainConfig {
     config
 }
 
-/// A run that starts from the wall as it is.
+/// A run that starts from the true wall.
 fn trainer(config: &TrainConfig) -> Trainer {
     trainer_on(config, |state| Box::new(CpuEngine::new(state)))
 }
@@ -121,7 +121,7 @@ fn what_enters_is_born_where_it_is_and_moves_on() {
         config.births.enabled = false;
         let without = fit(&mut trainer(&config), 0..5, with_masks, None);
         assert_eq!(psnr[..2], without[..2]);
-        // 1.4 to 2 dB, by the processor: the width of its vectors decides the rounding of sums, and so the births.
+        // 1.4 to 2 dB, depending on the processor: its vector width decides the rounding of sums, and so the births.
         assert!(psnr[2] > without[2] + 1.0 && psnr[4] > without[4] + 1.0, "{psnr:?} against {without:?}");
         assert!(psnr[4] > psnr[2] - 2.0, "{psnr:?}");
 
@@ -130,7 +130,7 @@ fn what_enters_is_born_where_it_is_and_moves_on() {
         assert!(newborn.len() > 20, "{} are born", newborn.len());
         assert!(state.lifetimes.births()[..NUM_WALL].iter().all(|&birth| birth == 0));
         assert_eq!(state.lifetimes.births()[NUM_WALL], 2);
-        // Most at the ball, which has gone on by 0.1.
+        // Most are at the ball, which has moved on by 0.1.
         let center = ball(4).unwrap();
         let near = |mean: &[f32; 3]| (0..3).all(|d| (mean[d] - center[d]).abs() < 0.35);
         let at_ball = state.parameters.gaussians.means()[newborn.clone()].iter().filter(|mean| near(mean)).count();
@@ -145,10 +145,10 @@ fn what_enters_is_born_where_it_is_and_moves_on() {
 #[test]
 fn newborn_of_large_gradients_are_divided() {
     let mut config = settings();
-    // Fewer places than the ball needs Gaussians.
+    // Fewer places than the Gaussians that the ball needs.
     config.births.share = 0.01;
     config.births.iterations = 240;
-    // Of a wall of equal Gaussians, whose quantizers have no room for other values.
+    // Equal Gaussians of a wall leave quantizers no range for other values.
     config.quantize.enabled = false;
     config.births.gradient_threshold = 2e-4;
     let mut divided = trainer(&config);
@@ -175,7 +175,7 @@ fn the_gpu_gives_birth_to_the_same() {
     let mut on_gpu = trainer_on(&config, |state| Box::new(GpuEngine::new(&gpu, state)));
     // Gaussians born at 2 are young at 3.
     let (expected, found) = (fit(&mut on_cpu, 0..4, true, None), fit(&mut on_gpu, 0..4, true, None));
-    // Births depend on the last bits of sums. Two processors differ by as much.
+    // Births depend on the last bits of sums. Two processors differ as much as the engines.
     let is_near = |timestep: usize| (expected[timestep] - found[timestep]).abs() < if timestep < 2 { 0.2 } else { 0.5 };
     assert!((0..4).all(is_near), "{found:?} against {expected:?}");
     let [a, b] = [on_cpu.num_gaussians(), on_gpu.num_gaussians()].map(|n| n - NUM_WALL);
@@ -203,14 +203,14 @@ fn the_young_go_on_learning_and_then_settle() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = settings();
     config.births.youth = 1;
-    // What is divided learns more while it is newborn, and leaves less to the young.
+    // Divided Gaussians learn more while they are newborn, and leave less to the young.
     config.births.gradient_threshold = 0.0;
-    // Of a wall of equal Gaussians, whose quantizers have no room for other values.
+    // Equal Gaussians of a wall leave quantizers no range for other values.
     config.quantize.enabled = false;
     let run = Run::create(folder.path(), &config).unwrap();
     let psnr = fit(&mut trainer(&config), 0..5, true, Some(&run));
     let first = run.checkpoint(0, None).unwrap();
-    // What does not vary over time, of those born at 2.
+    // Columns that do not vary over time, of the Gaussians born at 2.
     let num_born = run.lives(5).unwrap().unwrap().births.iter().filter(|birth| **birth == 2).count();
     let constants = |gaussians: &Gaussians| {
         let rows = NUM_WALL..NUM_WALL + num_born;
@@ -220,7 +220,7 @@ fn the_young_go_on_learning_and_then_settle() {
     let num_changed = constants(&born).0.iter().zip(constants(&young).0).filter(|(a, b)| **a != *b).count();
     assert!(2 * num_changed > num_born, "{num_changed} of {num_born} learned when they were young");
     assert!(constants(&young) == constants(&settled));
-    // The wall keeps its own, and a scene has what was settled with at all timesteps.
+    // The wall keeps its own, and a scene has the settled values at all timesteps.
     assert_eq!(born.log_scales()[..NUM_WALL], settled.log_scales()[..NUM_WALL]);
     let scene = run.trained().unwrap().scene;
     assert!((0..5).all(|timestep| constants(&scene.at(timestep)) == constants(&settled)));
@@ -274,7 +274,7 @@ fn a_run_with_births_resumes_with_the_same_bytes_and_reads_back() {
         assert!(trained.scene.at(timestep) == stand_ins.complete(now, timestep), "timestep {timestep}");
     }
     assert!(trained.scene.at(4) == state.parameters.gaussians);
-    // Nothing but what varies by the layout does.
+    // Only columns that vary by the layout have several samples.
     assert_eq!(trained.scene.num_samples(tcgs_core::Attribute::LogScale), 1);
     let image = views(4, true).remove(6);
     let Ok((output, _)) =

@@ -1,4 +1,4 @@
-//! Checkpoints as files: those of earlier versions stay readable, damaged ones are refused.
+//! Checkpoints as files: old formats stay readable, damaged files are refused.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use tcgs_core::PointCloud;
 use tcgs_interchange::NpzReader;
 use tcgs_train::{Checkpoint, GateRecord, Lifetimes, Lives, Optimizer, Parameters, Pose, Run, TrainConfig, TrainError};
 
-/// A run that the first version of checkpoints wrote; see its README.md.
+/// A run in the first format of checkpoints; see its README.md.
 const OLD: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../testdata/run");
 
 fn old(timestep: usize) -> PathBuf {
@@ -26,7 +26,7 @@ fn a_run_of_the_first_version_is_read() {
     assert!(run.resume().unwrap().is_some());
     let (bit_map, _) = trained.quantization.unwrap();
     assert!(bit_map.widths.iter().all(|widths| widths.len() == 18));
-    // As Python's struct module reads them from the file.
+    // Values as read by Python's struct module.
     let mut first = NpzReader::open(&old(0)).unwrap();
     assert_eq!(first.array_of::<f32>("means").unwrap().values[..2], [-2.673_492_7, -1.256_459_5]);
     assert_eq!(first.array_of::<u64>("steps").unwrap().shape, [6]);
@@ -97,14 +97,14 @@ fn damaged_checkpoints_are_refused() {
         damaged[at] ^= 1 << (at % 8);
         fs::write(&path, &damaged).unwrap();
         match load(&path, None) {
-            // A bit that says nothing about the arrays, such as one of a date.
+            // A bit without effect on the arrays, such as one of a date.
             Ok(found) => assert!(found == expected, "a flip at {at} changes values unnoticed"),
             Err(error) => assert!(matches!(error, TrainError::File { .. }), "{at}: {error}"),
         }
     }
 }
 
-/// The checkpoint of a timestep at which a tenth of `N` Gaussians is elsewhere than before, and the rest as it was.
+/// The checkpoint of a timestep at which a tenth of `N` Gaussians has moved and the rest has not.
 fn sleeping(num_gaussians: usize, timestep: usize) -> Checkpoint {
     let points: Vec<[f32; 3]> = (0..num_gaussians).map(|i| [i as f32, 0.5, -1.0]).collect();
     let cloud = PointCloud { colors: points.clone(), foreground: vec![true; num_gaussians], points };
@@ -130,7 +130,7 @@ fn sleeping(num_gaussians: usize, timestep: usize) -> Checkpoint {
     }
 }
 
-/// The checkpoint of a timestep before which some died and others were born: of six, the third died at 1 and two were born.
+/// The checkpoint of a timestep after births and deaths: of six Gaussians the third died at 1, and two were born.
 fn with_lives(timestep: usize) -> Checkpoint {
     let mut checkpoint = sleeping(7, timestep);
     let (births, mut deaths) = (vec![0, 0, 0, 0, 0, 0, 1, 1], vec![Lives::NEVER; 8]);
@@ -189,12 +189,12 @@ fn a_checkpoint_of_another_run_is_named_where_a_run_goes_on() {
     save(1, &with_lives(1));
     save(2, &with_lives(2));
     assert!(Run::open(run.folder()).unwrap().resume().unwrap().is_some());
-    // There nobody was born.
+    // No Gaussian was born there.
     save(1, &sleeping(6, 1));
     let error = Run::open(run.folder()).unwrap().resume().err().unwrap().to_string();
     assert!(error.contains("000001.npz: lacks Gaussians that live at timestep 2"), "{error}");
 
-    // The first one is to have all that the run begins with.
+    // The first one must hold all Gaussians with which the run begins.
     let mut first = sleeping(6, 0);
     let mut deaths = vec![Lives::NEVER; 7];
     deaths[2] = 1;
@@ -204,7 +204,7 @@ fn a_checkpoint_of_another_run_is_named_where_a_run_goes_on() {
     assert!(error.contains("000000.npz: has births or deaths, expected none at the first timestep"), "{error}");
     save(0, &sleeping(6, 0));
 
-    // What a checkpoint says of masks fits who lives.
+    // Mask logits of a checkpoint match the Gaussians that live.
     save(1, &with_lives(1));
     let (first, lives) = (run.checkpoint(0, None).unwrap(), run.lives(3).unwrap());
     let logits = |lives: Option<&Lives>| {
@@ -217,11 +217,11 @@ fn a_checkpoint_of_another_run_is_named_where_a_run_goes_on() {
     assert_eq!(number(&first).unwrap(), 6);
     let error = number(&sleeping(7, 0)).unwrap_err().to_string();
     assert!(error.contains("000000.npz: holds 7 Gaussians, expected 6"), "{error}");
-    // Of the timesteps that were asked for.
+    // Only the requested timesteps count.
     assert!(run.lives(1).unwrap().is_none());
 }
 
-/// A run of such timesteps.
+/// A run of `sleeping` timesteps.
 fn sleeping_run(folder: &Path, num_gaussians: usize, num_timesteps: usize) -> Run {
     let run = Run::create(folder, &TrainConfig::default()).unwrap();
     (0..num_timesteps).for_each(|timestep| run.save(timestep, &sleeping(num_gaussians, timestep)).unwrap());
@@ -260,7 +260,7 @@ fn what_sleeps_costs_nothing_and_every_timestep_reads_back() {
     let logits: Vec<Vec<f32>> = run.mask_logits(num_timesteps, &first, None).map(Result::unwrap).collect();
     assert!(logits == vec![vec![1.0; n]; num_timesteps]);
 
-    // A whole archive each, as earlier versions wrote them.
+    // Each as a whole archive.
     let whole = tempfile::tempdir().unwrap();
     for timestep in 0..num_timesteps {
         sleeping(n, timestep).save(&whole.path().join(format!("{timestep:06}.npz")), timestep == 0).unwrap();
@@ -277,7 +277,7 @@ fn resuming_reads_fewer_than_fifty_files() {
             (folder.path().join(format!("all{num_timesteps}")), folder.path().join(format!("{num_timesteps}")));
         sleeping_run(&all, 50, num_timesteps);
         Run::create(&few, &TrainConfig::default()).unwrap();
-        // The others are there, and damaged.
+        // The others exist but are damaged.
         for timestep in 0..num_timesteps {
             let name = format!("checkpoints/{timestep:06}.npz");
             let is_needed = timestep == 0 || timestep + 48 >= num_timesteps;
@@ -354,7 +354,7 @@ fn a_broken_link_is_named() {
     assert!(problem(50).contains("000050.npz: not a checkpoint: "));
     fs::rename(path(999), path(50)).unwrap();
     assert!(read(55).is_ok());
-    // A state that is not that of the last timestep.
+    // A state of another than the last timestep.
     fs::copy(folder.path().join("resume0.npz"), folder.path().join("resume1.npz")).unwrap();
     let error = Run::open(folder.path()).unwrap().resume().unwrap_err().to_string();
     assert!(error.contains("resume1.npz: holds timestep 58, expected timestep 59"), "{error}");

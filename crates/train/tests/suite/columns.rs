@@ -1,4 +1,4 @@
-//! A layout with columns that nothing but the table knows of goes through everything that a run does.
+//! A layout with columns that only the table knows goes through all stages of a run.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use tcgs_train::engine::Engine;
 use tcgs_train::engine::cpu::CpuEngine;
 use tcgs_train::{Parameters, Run, State, TrainConfig, Trainer};
 
-/// A column of two components that varies and is quantised, and one of one that is learned once and is not.
+/// One column of two components that varies and is quantised, one of one component that is learned once and is not.
 fn layout() -> (Arc<Layout>, Attribute, Attribute) {
     let mut layout = Layout::default();
     let wetness = layout.push("wetness", 2, Column::like(Attribute::Color));
@@ -32,7 +32,7 @@ fn capture(folder: &std::path::Path) -> Capture {
     Capture::open(folder).unwrap()
 }
 
-/// Whether each row of the made-up columns is one that the start had: nothing draws them, so nothing moves them.
+/// Whether each row of the made-up columns is one of the start: nothing draws them, so nothing changes them.
 fn is_carried(gaussians: &Gaussians, wetness: Attribute, age: Attribute) -> bool {
     let (pairs, ages) = (gaussians.values(wetness).as_chunks::<2>().0, gaussians.values(age));
     pairs.len() == gaussians.num_gaussians()
@@ -80,7 +80,7 @@ fn a_made_up_column_is_trained_saved_resumed_and_selected() {
     let groups: Vec<Attribute> = quantizers.groups.iter().map(|&(attribute, _)| attribute).collect();
     assert!(groups.contains(&wetness) && !groups.contains(&age), "{groups:?}");
 
-    // A run that goes on from its files ends with the same bits.
+    // A run resumed from its files ends with the same bits.
     let mut resumed = run.resume().unwrap().unwrap();
     resumed.recall(&views(1)).unwrap();
     resumed.fit(&views(2), &mut |_| ControlFlow::Continue(())).unwrap();
@@ -96,14 +96,14 @@ fn a_made_up_column_is_trained_saved_resumed_and_selected() {
     assert!((0..3).all(|t| is_carried(&selected.at(t), wetness, age)));
     assert_eq!(selected.values(age, 2), some.iter().map(|&i| trained.scene.values(age, 0)[i]).collect::<Vec<_>>());
 
-    // Symbols carry it; version 1 of the format has no place for it, and says so.
+    // Symbols carry the columns; version 1 of the format has no place for them and refuses.
     let (bit_map, quantizers) = trained.quantization.unwrap();
     let (bit_map, info) = (bit_map.select(&some), SceneInfo::of(&selected));
     let settings = CompressSettings::default();
     let compact = tcgs_codec::compress(&selected, &bit_map, Some(&quantizers), info, &settings).unwrap();
     let found = compact.reconstruct();
     assert_eq!(*found.layout(), layout);
-    // Gaussians are in another order there, and quantised.
+    // There Gaussians are reordered and quantised.
     let sorted = |scene: &tcgs_core::DynamicGaussians| {
         let mut ages = scene.values(age, 0).to_vec();
         ages.sort_by(f32::total_cmp);

@@ -1,4 +1,5 @@
-//! Who dies, on a made capture whose Gaussians are known: a wall, a ball at rest behind it, and a ball that leaves all views.
+//! Deaths on a synthetic capture whose Gaussians are known: a wall, a ball at rest behind it, and a ball that leaves
+//! all views.
 
 use std::ops::{ControlFlow, Range};
 use std::path::Path;
@@ -12,12 +13,12 @@ use tcgs_train::{Lives, Parameters, Preset, Run, State, TrainConfig, Trainer};
 use crate::wall::{add_ball, wall};
 
 const WALL: [usize; 2] = [16, 14];
-/// Rows of the first timestep, in this order. At rest behind the wall is what may be uncovered.
+/// Rows of the first timestep, in this order. Gaussians at rest behind the wall may be uncovered.
 const AT_REST: Range<usize> = 225..252;
 const LEAVES: Range<usize> = 252..279;
 const PATIENCE: usize = 4;
 const NUM_TIMESTEPS: usize = 13;
-/// When another ball enters, where asked for: others die at that timestep.
+/// Timestep at which another ball enters, if requested; others die at that timestep.
 const ENTERS: usize = 8;
 
 fn cameras() -> Vec<Camera> {
@@ -26,7 +27,7 @@ fn cameras() -> Vec<Camera> {
         .to_vec()
 }
 
-/// What there is at a timestep, and a ball that enters where asked for.
+/// The scene at a timestep, with a ball that enters if requested.
 fn scene(timestep: usize, enters: bool) -> Gaussians {
     let time = timestep as f32;
     let mut columns = wall(WALL);
@@ -57,7 +58,7 @@ fn views(timestep: usize, enters: bool) -> Vec<View> {
 
 fn settings() -> TrainConfig {
     let mut config = TrainConfig::preset(Preset::Fast);
-    // All cameras have one exposure.
+    // All cameras have the same exposure.
     config.rates.camera_centered = false;
     config.schedule.first_iterations = 60;
     config.schedule.rest_iterations = 120;
@@ -68,7 +69,7 @@ fn settings() -> TrainConfig {
     config.gate.matches = false;
     config.births.share = 0.1;
     config.deaths.patience = PATIENCE;
-    // A pixel of the six small images: what is just outside of one still reaches in.
+    // About one pixel of the six small images: a Gaussian just outside of one still reaches in.
     config.deaths.share = 3e-5;
     config
 }
@@ -100,13 +101,13 @@ fn fit(trainer: &mut Trainer, timesteps: Range<usize>, enters: bool, run: Option
     }
 }
 
-/// How many of some identities live.
+/// Number of living Gaussians among some identities.
 fn alive(trainer: &mut Trainer, ids: Range<usize>) -> usize {
     let ids_left = &trainer.state().unwrap().lifetimes.ids;
     ids_left.iter().filter(|&&id| ids.contains(&(id as usize))).count()
 }
 
-/// What leaves dies, and not at once; what is shown, and what is hidden where it always was, lives on.
+/// The ball that leaves dies, after a delay; visible Gaussians and those hidden from the start live on.
 fn dies_as_expected(trainer: &mut Trainer) {
     fit(trainer, 0..PATIENCE + 1, false, None);
     assert_eq!(trainer.num_gaussians(), LEAVES.end, "nothing is unseen for long yet");
@@ -172,7 +173,7 @@ fn a_run_with_births_and_deaths_resumes_with_the_same_bytes_and_reads_back() {
         assert!(bytes(&cut) == bytes(run.folder()), "stopped after {stopped}");
     }
 
-    // A scene has all of them at every timestep, and what lives as its checkpoint says.
+    // A scene has all of them at every timestep, and the living ones as in its checkpoint.
     let trained = Run::open(run.folder()).unwrap().trained().unwrap();
     let first = run.checkpoint(0, None).unwrap();
     assert_eq!((trained.scene.num_gaussians(), &trained.lives), (lives.len(), &Some(lives.clone())));

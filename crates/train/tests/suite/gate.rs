@@ -1,5 +1,5 @@
-//! What the gate trains, on made captures whose Gaussians are known: a wall and an object before it, on each
-//! engine.
+//! The Gaussians that the gate trains, on synthetic captures whose Gaussians are known: a wall and an object before it,
+//! on each engine.
 
 use std::ops::{ControlFlow, Range};
 use std::sync::Arc;
@@ -84,7 +84,7 @@ tests_on!(
     a_resumed_gate_goes_on_as_if_it_had_never_stopped,
     a_glimpse_shows_the_whole_scene_and_changes_nothing,
 );
-// The occluder and the lamp take minutes on a software GPU, and what wakes is not the engine's to say.
+// The occluder and the lamp take minutes on a software GPU, and the choice of what wakes does not depend on the engine.
 #[cfg(feature = "gpu")]
 tests_on!(
     on_gpu,
@@ -106,7 +106,7 @@ fn on_gpu(scenario: &dyn Fn(Make<'_>)) {
     scenario(&|state| Box::new(GpuEngine::new(&gpu, state)));
 }
 
-/// A run whose first timestep has seen `truth`, and started from `start`.
+/// A run whose first timestep was trained on `truth`, starting from `start`.
 fn trainer(make: Make<'_>, start: &Gaussians, truth: &Gaussians, sigma: f32) -> Trainer {
     trainer_with(&settings(), make, start, truth, sigma)
 }
@@ -125,7 +125,7 @@ fn trainer_with(config: &TrainConfig, make: Make<'_>, start: &Gaussians, truth: 
     trainer
 }
 
-/// Trains a timestep; returns its iterations.
+/// Trains a timestep; returns its number of iterations.
 fn fit(trainer: &mut Trainer, views: &[View]) -> usize {
     let mut iterations = 0;
     trainer
@@ -141,7 +141,7 @@ fn now(trainer: &mut Trainer) -> Gaussians {
     trainer.state().unwrap().parameters.gaussians.clone()
 }
 
-/// Which Gaussians differ in a bit.
+/// Indices of the Gaussians that differ in a bit.
 fn changed(before: &Gaussians, after: &Gaussians) -> Vec<usize> {
     let differs = |i: &usize| {
         before.layout().columns().iter().any(|column| {
@@ -187,7 +187,7 @@ fn a_still_object_wakes_when_it_starts_to_move_and_the_wall_sleeps_on(make: Make
     assert!((way - 0.2).abs() < 0.05, "the object moved by {way} of 0.2");
 }
 
-/// Twice its width between two frames, out of rest.
+/// The object moves by twice its width between two frames, out of rest.
 fn what_leaps_is_found_by_matches_and_not_by_gradients(make: Make<'_>) {
     let sigma = 1.0 / 255.0;
     let truth = scene(CENTER);
@@ -230,12 +230,12 @@ fn a_lamp_wakes_all_that_it_lights(make: Make<'_>) {
 
 fn what_an_occluder_uncovers_wakes_though_nothing_moves_there_any_more(make: Make<'_>) {
     let truth = scene(CENTER);
-    // The object hides a part of the wall from all cameras, which starts in a wrong colour.
+    // The object hides a part of the wall from all cameras; that part starts in a wrong colour.
     let hidden = |mean: &[f32; 3]| (mean[0] + 0.39).abs() < 0.16 && mean[1].abs() < 0.16;
     let mut start = truth.clone();
     let indices: Vec<usize> = (0..OBJECT.start).filter(|&i| hidden(&truth.means()[i])).collect();
     indices.iter().for_each(|&i| start.colors_mut()[i] = [0.0, 0.0, 1.0]);
-    // From constant velocity alone, so that there is an error left when the object stands.
+    // No matches: constant velocity alone leaves an error when the object stops.
     let mut config = settings();
     config.gate.matches = false;
     let mut trainer = trainer_with(&config, make, &start, &truth, 0.0);
@@ -322,7 +322,7 @@ fn a_glimpse_shows_the_whole_scene_and_changes_nothing(make: Make<'_>) {
             assert!((1..=iterations).contains(&glimpsed.iterations), "{} of {iterations}", glimpsed.iterations);
             let gaussians = &glimpsed.parameters.gaussians;
             assert_eq!(gaussians.num_gaussians(), before.num_gaussians());
-            // What is locked is as before, and what moves is on its way.
+            // Locked Gaussians are unchanged, and moving ones are on their way.
             let on_their_way = changed(&before, gaussians);
             assert!(!on_their_way.is_empty() && on_their_way.iter().all(|i| moved.contains(i)), "timestep {t}");
         }

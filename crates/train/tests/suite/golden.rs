@@ -16,7 +16,7 @@ fn shared(name: &str) -> Option<PathBuf> {
         return Some(path);
     }
     assert!(std::env::var_os("REQUIRE_GOLDEN").is_none(), "{} is required and absent", path.display());
-    // Past the capture of passing tests: a skip is to be seen.
+    // Bypasses the capture of passing tests, so that a skip is visible.
     let _ = writeln!(std::io::stderr(), "skipped: {} is absent", path.display());
     None
 }
@@ -193,8 +193,7 @@ fn sensitivities_equal_the_reference() {
         num_channels: 3,
         is_antialiased: false,
     };
-    // The vectors are with respect to activated values, so the stored-form function is followed here
-    // step by step.
+    // The vectors are with respect to activated values, so this repeats the stored-form function step by step.
     let mut sum = ActivatedGrads::default();
     let mut num_pixels = 0;
     for matrix in a.get::<f64>("camera_from_world").chunks(16) {
@@ -264,7 +263,8 @@ fn the_first_render_of_basketball_equals_the_reference() {
         let (output, _) = CpuRasterizer.forward(&drawn, &view.camera, &RenderSettings::default()).unwrap();
         let l1 = output.image.data.iter().zip(&view.image.data).map(|(a, b)| f64::from((a - b).abs())).sum::<f64>()
             / output.image.data.len() as f64;
-        // PSNR relatively: another JPEG decoder moves the targets by 0.05 of 255 on average, and it by 0.007 dB.
+        // PSNR is compared relatively: another JPEG decoder moves the targets by 0.05 of 255 on average, and PSNR by
+        // 0.007 dB.
         let found =
             [l1, tcgs_metrics::ssim(&output.image, &view.image), tcgs_metrics::psnr(&output.image, &view.image)];
         for (found, (key, relative)) in found.iter().zip([("l1", false), ("ssim", false), ("psnr_joint_clamped", true)])

@@ -1,4 +1,4 @@
-//! Trainings on the GPU against the same on the CPU, and what the GPU promises of its own.
+//! Trainings on the GPU against the same on the CPU, and the GPU engine's own guarantees.
 
 use std::ops::ControlFlow;
 use std::sync::OnceLock;
@@ -40,9 +40,9 @@ fn views(frame: usize) -> Vec<View> {
 fn config(first: usize, rest: usize) -> TrainConfig {
     let mut config = TrainConfig::default();
     config.mask.enabled = true;
-    // The CPU computes removals for both engines. How many go depends on the last bits of the state.
+    // The CPU computes removals for both engines, and their number depends on the last bits of the state.
     config.densify.prune_error = 0.0;
-    // Tests that want the gate say so.
+    // Tests of the gate switch it on.
     config.gate.enabled = false;
     (config.schedule.first_iterations, config.schedule.rest_iterations) = (first, rest);
     config
@@ -63,7 +63,7 @@ fn trainer(config: &TrainConfig, make: impl FnOnce(State) -> Made) -> Trainer {
     Trainer::with_engine(config, &capture().point_cloud().unwrap(), &cameras, make).unwrap()
 }
 
-/// Trains some frames; losses of every iteration.
+/// Trains some frames; returns the losses of every iteration.
 fn fit(trainer: &mut Trainer, frames: std::ops::Range<usize>) -> Vec<f64> {
     let mut losses = Vec::new();
     for frame in frames {
@@ -92,8 +92,9 @@ fn train_on_both(gpu: &Gpu, seed: u64) -> [Trained; 2] {
 #[test]
 fn a_training_follows_that_on_the_cpu() {
     let Some(gpu) = gpu() else { return };
-    // Before density adapts the two are one computation. Afterwards single Gaussians fall to either side of a threshold:
-    // one training ends anywhere within a few tenths of a decibel, on one engine as between them, so means are compared.
+    // Until densification both engines compute the same. Afterwards single Gaussians fall to either side of a
+    // threshold: the PSNR of one training varies by a few tenths of a decibel, on one engine as between them. So means
+    // are compared.
     const TRAININGS: u64 = 4;
     let pairs: Vec<_> = (0..TRAININGS).map(|seed| train_on_both(&gpu, seed)).collect();
     let mut first_error = 0.0;
@@ -119,8 +120,8 @@ fn a_training_follows_that_on_the_cpu() {
     let counts = mean(&|(.., count)| *count as f64);
     let each: Vec<_> = pairs.iter().map(|pair| [pair[0].1, pair[1].1]).collect();
     eprintln!("PSNR {psnr:.2?} ({each:.2?}), Gaussians {counts:?}");
-    // Three standard errors of the difference: 0.2 dB on one processor is 0.23 on another, whose vectors are half as
-    // wide.
+    // Three standard errors of the difference. A difference of 0.2 dB on one processor is 0.23 on another with vectors
+    // half as wide.
     assert!((psnr[0] - psnr[1]).abs() < 0.4, "{psnr:?}");
     assert!((counts[0] / counts[1] - 1.0).abs() < 0.02, "{counts:?}");
 }
@@ -148,7 +149,7 @@ fn a_training_with_the_gate_follows_that_on_the_cpu() {
     let Some(gpu) = gpu() else { return };
     let mut config = config(120, 40);
     config.gate.enabled = true;
-    // Gaussians that density control adds fall to either side of its thresholds.
+    // Gaussians added by density control fall to either side of its thresholds.
     config.densify.start = 1000;
     let [found, expected] = [trainer(&config, on_gpu(&gpu)), trainer(&config, on_cpu)].map(|mut trainer| {
         let timesteps = [0, 1, 2].map(|frame| {
@@ -162,7 +163,7 @@ fn a_training_with_the_gate_follows_that_on_the_cpu() {
         let [a, b] = [found.2, expected.2];
         assert!((a.gaussians - b.gaussians).abs() < 0.05 && (a.tiles - b.tiles).abs() < 0.05, "timestep {t}");
         assert!(t == 0 || a.gaussians < 0.9, "timestep {t} trains everything");
-        // A pace may be decided a stretch later.
+        // A pace may be decided one stretch later.
         assert!(found.0.abs_diff(expected.0) <= 20, "timestep {t}");
         assert!((found.1 / expected.1 - 1.0).abs() < 0.05, "timestep {t}");
     }
@@ -207,7 +208,7 @@ fn an_iteration_with_a_clock_is_an_iteration() {
         assert!(run(make(state.clone()), |i| i % 2 == 1) == plain);
         assert_eq!(plain.1.len(), 6);
     }
-    // An iteration that halts for want of room is none that tells the time: it is repeated, and another one timed.
+    // An iteration that halts for lack of room is repeated without a clock, and another one is timed.
     let small = GpuEngine::new(&gpu, state.clone()).with_room_for(100);
     assert_eq!(run(Box::new(small), |i| i == 0).1.len(), 7);
 }
@@ -244,7 +245,7 @@ fn a_run_resumes_on_either_engine() {
     assert!((losses, found) == (expected_losses, expected), "on one GPU a run resumes with the same bits");
     assert!(again.checkpoint().unwrap() == whole.checkpoint().unwrap());
 
-    // What a GPU has begun goes on on the CPU, and back.
+    // A run begun on the GPU goes on on the CPU, and back.
     let mut on_cpu = resumed(&config, &checkpoints[..1], on_cpu);
     let mut on_gpu_again = resumed(&config, &checkpoints[..1], on_gpu(&gpu));
     let [expected_losses, losses] = [&mut on_cpu, &mut on_gpu_again].map(|trainer| mean(&fit(trainer, 1..2)));

@@ -1,4 +1,4 @@
-//! The two engines side by side where sizes and numbers are odd, and what the one on the GPU does when it fails.
+//! The two engines side by side at odd sizes and numbers, and the failures of the GPU engine.
 
 use crate::support::engines::{assert_same, bits, config, quantized, state, step, target, with_harmonics, with_past};
 use crate::support::{Random, further_layout, gpu, relative_l2};
@@ -80,7 +80,7 @@ fn quantised_with_and_without_offsets() {
     for learned_offset in [true, false] {
         let start = quantized(state(150, 2, |i| i % 2 == 0), learned_offset);
         let name = format!("learned offsets: {learned_offset}");
-        // One iteration: in the next a code may be rounded the other way.
+        // One iteration only: in the next a code may be rounded the other way.
         compare(&name, &gpu, &start, &targets, &[1], &config, Phase::First);
         compare(&format!("{name}, later"), &gpu, &with_past(start), &targets, &[1], &config, Phase::Rest);
     }
@@ -167,7 +167,7 @@ fn a_lost_gpu_is_an_error() {
         let error = steps().unwrap_err();
         eprintln!("{when}: {error}");
         assert!(matches!(error, TrainError::Gpu(GpuError::Lost(_))), "{error:?}");
-        // And again and again.
+        // Every later call fails as well.
         for error in [engine.wait().err(), engine.state().err(), engine.begin(targets.to_vec(), None).err()]
             .into_iter()
             .flatten()
@@ -177,7 +177,7 @@ fn a_lost_gpu_is_an_error() {
     }
 }
 
-/// A camera from which the splats of [`state`] are the larger the nearer it is.
+/// A camera that sees the splats of [`state`] the larger the nearer it is.
 fn target_at(distance: f64) -> Target {
     let mut target = target([64, 48], 5, 7);
     target.camera = Camera::look_at([0.0, 0.2, -distance], [0.0; 3], [0.0, -1.0, 0.0], 70.0, 64, 48);
@@ -189,7 +189,7 @@ fn iterations_beyond_the_room_are_repeated_bit_for_bit() {
     let Some(gpu) = gpu() else { return };
     let config = config();
     let targets = [100.0, 8.5, 5.0, 2.2].map(target_at);
-    // The first one halts, then one in the middle of a report, and the last.
+    // The first one halts, then one in the middle of a report, and the last one.
     let mut cameras = vec![0; 140];
     for (from, camera) in [(70, 1), (127, 2), (139, 3)] {
         cameras[from] = camera;
@@ -276,7 +276,7 @@ fn what_does_not_fit_is_named() {
     let error = run(&mut engine, &[target_at(4.0)], &[0], &config(), Phase::First).unwrap_err();
     eprintln!("{error}");
     assert!(matches!(error, TrainError::Gpu(GpuError::Memory { .. })), "{error:?}");
-    // The GPU is still of use.
+    // The GPU can still be used.
     let mut engine = GpuEngine::new(&gpu, state(50, 1, |i| i < 30));
     run(&mut engine, &[target_at(4.0)], &[0], &config(), Phase::First).unwrap();
 }
@@ -294,7 +294,7 @@ fn timesteps_of_other_sizes_and_channels_follow_each_other() {
         let mut losses = Vec::new();
         for engine in [&mut cpu as &mut dyn Engine, &mut on_gpu] {
             let now = engine.state_mut().unwrap();
-            // Not what was learned: two engines are to start from the same.
+            // Resets the learned values, so that both engines start from the same.
             now.parameters = with_past(state(80, 2, |i| i % 2 == 0)).parameters;
             now.parameters.mask_logits[timestep] = -6.0;
             let past = now.past.as_mut().unwrap();
@@ -309,7 +309,7 @@ fn timesteps_of_other_sizes_and_channels_follow_each_other() {
     }
 }
 
-/// `state` with the columns of [`further_layout`], whose moments are not zero: Adam moves what has no gradient.
+/// `state` with the columns of [`further_layout`]. Their moments are not zero: Adam moves values without gradients.
 fn with_further_columns(mut state: State) -> State {
     let mut random = Random::new(41);
     let (layout, n) = (further_layout(), state.parameters.num_gaussians());
@@ -352,7 +352,7 @@ fn columns_that_nothing_draws_are_carried() {
         compare(&name, &gpu, &start, &targets, cameras, &config, Phase::First);
         compare(&format!("{name}, later"), &gpu, &with_past(start.clone()), &targets, cameras, &config, Phase::Rest);
 
-        // Where the further columns have no effect, the others are what they are without them, bit for bit.
+        // If the further columns have no effect, the others are bit for bit the same as without them.
         let mut engine = GpuEngine::new(&gpu, start.clone());
         run(&mut engine, &targets, cameras, &config, Phase::First).unwrap();
         let found = engine.state().unwrap();
@@ -401,7 +401,7 @@ fn refinement_on_the_gpu_follows_the_cpu() {
         assert!((found - expected).abs() < 1e-3 * expected, "{losses:?} against {expected_losses:?}");
     }
     for ((found, expected), attribute) in found.iter().zip(&expected).zip(Attribute::BASE) {
-        // A code that lies between two may be rounded either way.
+        // A code between two may be rounded either way.
         assert!(relative_l2(found, expected) < 0.02, "{attribute:?}: {}", relative_l2(found, expected));
     }
 }

@@ -1,4 +1,4 @@
-//! The GPU engine where a part of the scene is trained: against itself where everything is, and against the CPU engine.
+//! The GPU engine on a part of the scene: against itself on all of it, and against the CPU engine.
 
 use crate::support::engines::{assert_same, bits, config, quantized, state, target, with_harmonics, with_past};
 use crate::support::{Random, gpu, relative_l2};
@@ -13,7 +13,7 @@ use tcgs_train::{LossTerms, Phase, Rates, Row, Schedule, State, TrainConfig, Wei
 const SIZES: [[usize; 2]; 3] = [[75, 52], [120, 40], [33, 90]];
 
 fn rates(config: &TrainConfig) -> Rates {
-    // As the trainer does it: quantizers are shared with what is locked.
+    // As in the trainer: locked Gaussians share the quantizers.
     Rates { step: 0.0, ..Schedule::new(config, 2.0).rates(Phase::Rest, 0) }
 }
 
@@ -40,7 +40,7 @@ fn is_active(i: usize) -> bool {
     i % 3 == 1
 }
 
-/// A set of tiles and all that are beside them.
+/// A set of tiles and all tiles beside them.
 fn with_margin(tiles: &TileMask, image: &Image) -> TileMask {
     let mut wide = TileMask::none(image.width, image.height);
     for tile in tiles.iter() {
@@ -58,7 +58,7 @@ fn a_part_has_the_gradients_of_the_whole_to_the_bit() {
     let Some(gpu) = gpu() else { return };
     const N: usize = 240;
     let mut config = config();
-    // Losses on pixels alone: means over Gaussians are over other numbers of them.
+    // Losses on pixels alone, because means over Gaussians would be over other numbers of them.
     config.weights = WeightConfig { image: 1.0, segmentation: 3.0, ..WeightConfig::NONE };
     for channels in [3, 5] {
         let targets: Vec<Target> = (0..3).map(|i| target(SIZES[i], channels, i as u64)).collect();
@@ -66,12 +66,13 @@ fn a_part_has_the_gradients_of_the_whole_to_the_bit() {
         for i in 0..N {
             let g = &mut whole.parameters.gaussians;
             g.log_scales_mut()[i] = g.log_scales()[i].map(|s| s - 2.5);
-            // The active ones are together, so that they leave tiles alone.
+            // The active ones are together, so that some tiles have none.
             if is_active(i) {
                 g.means_mut()[i] = g.means()[i].map(|x| 0.1 * x + 0.4);
             }
         }
-        // All others are held, so that the GPU activates them too; equal depths are drawn in the scene's order.
+        // All others are held, so that the GPU activates them too; Gaussians of equal depth are drawn in the scene's
+        // order.
         let rows: Vec<usize> = (0..N).filter(|&i| is_active(i)).chain((0..N).filter(|&i| !is_active(i))).collect();
         let num_active = N / 3;
         let mut part = whole.clone();
@@ -81,7 +82,7 @@ fn a_part_has_the_gradients_of_the_whole_to_the_bit() {
         let active = all.select(&rows[..num_active]);
         let mut num_tiles = [0, 0];
         let views = targets.iter().map(|target| {
-            // Windows of SSIM then see nothing of the picture from where active Gaussians are.
+            // Windows of SSIM then see no part of the picture with active Gaussians.
             let tiles = with_margin(&tiles_reached(&active, &target.camera), &target.image);
             num_tiles = [num_tiles[0] + tiles.len(), num_tiles[1] + tiles.grid()[0] * tiles.grid()[1]];
             let picture = Image::filled(target.image.width, target.image.height, channels, 0.0);
@@ -125,7 +126,7 @@ fn a_part_has_the_gradients_of_the_whole_to_the_bit() {
     }
 }
 
-/// Which tiles a view draws.
+/// The tiles that a view draws.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Tiles {
     Scattered,
@@ -134,7 +135,7 @@ enum Tiles {
 
 /// A state of some rows, and a scenery that draws them among others.
 ///
-/// Pictures are the targets, so that pixels around the tiles have no loss: the engines count different ones of them.
+/// Pictures are the targets, so that pixels around the tiles have no loss: the two engines count different ones.
 fn part_of_a_scene(
     start: &State,
     targets: &[Target],
@@ -161,7 +162,7 @@ fn part_of_a_scene(
             }
             Tiles::Rectangle => tiles.insert_pixels(17..width * 2 / 3, 20..height),
         }
-        // Now and then one of the locked ones is in no list.
+        // Some of the locked ones are in no list.
         let gaussians: Vec<u32> = (0..4 * n as u32).filter(|i| i % 4 == 3 || i % 11 != 0).collect();
         // Each camera sees the locked ones in other colours.
         let has_harmonics = start.parameters.gaussians.layout().sh_degree() > 0;
@@ -194,7 +195,7 @@ fn compare(name: &str, gpu: &Gpu, start: &State, channels: usize, num_active: us
     let expected = run(&mut a, &targets, Some(scenery.clone()), cameras, &config);
     let mut found = run(&mut b, &targets, Some(scenery), cameras, &config);
     if which == Tiles::Scattered {
-        // The CPU engine counts a pixel once for each rectangle of tiles that it is near.
+        // The CPU engine counts a pixel once for each rectangle of tiles near it.
         for (found, expected) in found.iter_mut().zip(&expected) {
             assert!(found.image > 0.2 * expected.image && found.image <= expected.image * (1.0 + 1e-5), "{name}");
             (found.image, found.segmentation) = (expected.image, expected.segmentation);
@@ -231,7 +232,7 @@ fn both_engines_train_a_part_among_the_colours_that_each_camera_sees() {
     for (degree, channels) in [(1, 5), (3, 3)] {
         let start = with_past(with_harmonics(state(120, 3, |i| i % 3 != 0), degree));
         let name = format!("degree {degree}, {channels} channels");
-        // One iteration each: Adam's step is as long where a gradient is nothing but rounding.
+        // One iteration each: Adam's step is as long for a gradient of pure rounding.
         for camera in 0..3 {
             compare(&format!("{name}, view {camera}"), &gpu, &start, channels, 50, Tiles::Rectangle, &[camera]);
         }

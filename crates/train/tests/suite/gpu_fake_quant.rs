@@ -58,7 +58,7 @@ fn scene(layout: &Arc<Layout>, n: usize, random: &mut Random) -> (BitMap, Gaussi
         let size = 1.0 + attribute.index() as f32;
         gaussians.values_mut(attribute).fill_with(|| random.within(size) + 0.3);
         if column.quantized {
-            // A width of many chunks, a few of one, and one of a lone Gaussian.
+            // One width of many chunks, a few of one chunk, and one of a lone Gaussian.
             bit_map.widths[attribute.index()].fill_with(|| [6, 6, 6, 4, 5, 7, 9, 12][random.below(8)]);
             bit_map.widths[attribute.index()][n / 2] = 1 + attribute.index() as u8 % 3;
         }
@@ -106,7 +106,7 @@ fn gradients_are_those_of_the_cpu() {
         let (found, found_steps, found_offsets) = backward(&gpu, &quantizers, &gaussians, &v, StepUniform::QUANTIZED);
         let mut expected = packed(&expected);
         expected[first..].copy_from_slice(&v[first..]);
-        // A quotient may round differently, so that a value goes to the other side of a range's end.
+        // A quotient may round differently, so that a value falls on the other side of a range's end.
         let different = found.iter().zip(&expected).filter(|(a, b)| a != b).count();
         assert!(different <= n / 1000, "{different} gradients of {n} Gaussians differ");
         let errors = [relative_l2(&found_steps, &v_steps), relative_l2(&found_offsets, &v_offsets)];

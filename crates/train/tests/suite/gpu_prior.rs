@@ -31,7 +31,7 @@ struct Motion {
 }
 
 impl Motion {
-    /// - `moves`: how far in scene units, and how much rotations change
+    /// - `moves`: size of the motion in scene units, and of the change of rotations
     fn random(is_foreground: Vec<bool>, moves: f32, seed: u64) -> Self {
         let mut random = Random::new(seed);
         let n = is_foreground.len();
@@ -57,7 +57,7 @@ impl Motion {
     }
 }
 
-/// Of each Gaussian.
+/// Stillness of each Gaussian.
 fn stillness(num_gaussians: usize) -> Vec<f32> {
     (0..num_gaussians).map(|i| (i % 5) as f32 / 4.0).collect()
 }
@@ -81,7 +81,7 @@ fn cpu_losses(motion: &Motion, weights: &WeightConfig) -> (LossTerms, GaussianGr
     (losses, v)
 }
 
-/// Losses and gradients, the latter added `times` times to a gradient of `start`.
+/// Losses and gradients; the latter are added `times` times to a gradient of `start`.
 fn gpu_losses(gpu: &Gpu, motion: &Motion, weights: &WeightConfig, start: f32, times: usize) -> (LossTerms, Vec<f32>) {
     let n = motion.now.num_gaussians();
     let neighbors = motion.neighbors();
@@ -136,8 +136,8 @@ fn values(losses: &LossTerms) -> [f64; 7] {
     [rigid, rot, iso, floor, background, soft_color, stillness]
 }
 
-/// Compares losses and gradients with the CPU's, the latter of each attribute, of foreground and background apart;
-/// returns the worst relative error of either.
+/// Compares losses and gradients with the CPU's, the latter by attribute, and for foreground and background apart.
+/// Returns the worst relative error of either.
 fn compare(gpu: &Gpu, motion: &Motion, weights: &WeightConfig) -> [f64; 2] {
     let (expected_losses, v) = cpu_losses(motion, weights);
     let (losses, found) = gpu_losses(gpu, motion, weights, 0.0, 1);
@@ -178,7 +178,7 @@ fn losses_and_gradients_are_those_of_the_cpu() {
     }
 }
 
-/// The gradients of [`cpu_losses`], followed in double precision.
+/// The gradients of [`cpu_losses`] in double precision.
 fn exact_gradients(motion: &Motion, weights: &WeightConfig) -> Vec<f32> {
     fn wide<const D: usize>(rows: &[[f32; D]]) -> Vec<[f64; D]> {
         rows.iter().map(|row| row.map(f64::from)).collect()

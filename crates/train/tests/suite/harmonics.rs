@@ -1,5 +1,5 @@
-//! Colours that depend on the direction of view: a wall with a sheen and an object before it, made of Gaussians whose
-//! harmonics are known.
+//! Colours that depend on the direction of view: a wall with a sheen and an object before it, synthesised from known
+//! harmonics.
 
 use std::ops::{ControlFlow, Range};
 use std::sync::Arc;
@@ -16,7 +16,7 @@ const WALL: [usize; 2] = [24, 16];
 /// The object's Gaussians come after the wall's.
 const OBJECT: Range<usize> = WALL[0] * WALL[1]..WALL[0] * WALL[1] + 27;
 
-/// The last one is not trained on.
+/// The last one is held out.
 fn cameras() -> Vec<Camera> {
     [[-2.0, -0.8], [2.0, -0.7], [1.6, 0.9], [-1.7, 0.8], [0.0, -0.9], [0.1, 0.9], [-0.9, 0.1]]
         .map(|[x, y]| Camera::look_at([x, y, -3.5], [0.0, 0.0, 0.0], [0.0, -1.0, 0.0], 130.0, 128, 80))
@@ -28,7 +28,7 @@ fn scene(center: [f32; 3], degree: usize) -> Gaussians {
     let mut columns = wall(WALL);
     add_ball(&mut columns, center, 3);
     let mut gaussians = Gaussians::from(columns).extended(&Layout::with_harmonics(degree));
-    // Of each band the same coefficient of all Gaussians: that along x, and that of x² - y².
+    // One coefficient per band, for all Gaussians: the one along x, and the one of x² - y².
     for (band, coefficient) in gaussians.layout().harmonics().into_iter().zip([2, 4]) {
         let components = band.components();
         for row in gaussians.values_mut(band).chunks_exact_mut(components) {
@@ -58,7 +58,7 @@ fn settings(degree: usize) -> TrainConfig {
     config
 }
 
-/// A trainer that begins with a scene whose colours are the same from everywhere.
+/// A trainer that starts from a scene whose colours are the same from everywhere.
 fn trainer(config: &TrainConfig, make: Make<'_>) -> Trainer {
     let gaussians = scene(CENTER, 0).extended(&Layout::with_harmonics(config.color.degree));
     let cameras = &cameras()[..6];

@@ -1,6 +1,6 @@
 //! Training: engines against each other, against finite differences and vectors of other programs, and runs as a whole.
 
-// Helpers of tests may unwrap, as tests may.
+// Test helpers may unwrap, like tests.
 #![allow(clippy::unwrap_used)]
 
 mod births;

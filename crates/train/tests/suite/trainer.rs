@@ -80,7 +80,7 @@ fn training_learns_the_scene_and_follows_it() {
         still.mean_psnr(&views(3)).unwrap()
     };
     assert!(follows > frozen + 3.0, "{follows:.2} dB while following, {frozen:.2} standing still");
-    // What is frozen after the first timestep has not moved; what varies has.
+    // Columns frozen after the first timestep have not moved; varying ones have.
     let last = &trainer.state().unwrap().parameters;
     assert_eq!(last.gaussians.log_scales(), first.gaussians.log_scales());
     assert_eq!(last.gaussians.logit_opacities(), first.gaussians.logit_opacities());
@@ -116,7 +116,7 @@ fn a_capture_without_masks_trains_and_stays_finite() {
 fn threads_and_resuming_do_not_change_a_bit() {
     let mut config = config();
     (config.schedule.first_iterations, config.schedule.rest_iterations) = (120, 15);
-    // Often enough that density adapts within them.
+    // The interval is short enough for several densifications.
     config.densify.interval = 20;
     let on = |threads: usize| {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(|| {
@@ -146,7 +146,7 @@ fn threads_and_resuming_do_not_change_a_bit() {
     assert_eq!(run.trained().unwrap().scene.num_timesteps(), 4);
 }
 
-/// The CPU engine, whose losses become known late, as those of a GPU do.
+/// The CPU engine with late losses, like those of a GPU.
 #[derive(Debug)]
 struct Late {
     cpu: CpuEngine,
@@ -318,7 +318,7 @@ fn density_adapts_by_the_rules() {
     let done = densify(&mut state, &step);
     assert_eq!((done.cloned, done.split, done.removed), (1, 1, 2));
     let p = &state.parameters;
-    // Kept 0 and 2, the clone of 0, two children of 1; the transparent and the large one are gone.
+    // Kept: 0 and 2, the clone of 0, two children of 1. The transparent and the large one are gone.
     let colors: Vec<f32> = p.gaussians.colors().iter().map(|c| c[0]).collect();
     assert_eq!(colors, [0.1, 0.3, 0.1, 0.2, 0.2]);
     assert_eq!(p.foreground, [true, true, true, false, false]);

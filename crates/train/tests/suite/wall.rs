@@ -1,8 +1,8 @@
-//! A made scene whose Gaussians are known: a wall, and a ball before it.
+//! A synthetic scene whose Gaussians are known: a wall, and a ball before it.
 
 use tcgs_core::BaseColumns;
 
-/// Where the ball stands at first.
+/// Initial centre of the ball.
 pub const CENTER: [f32; 3] = [-0.3, 0.0, -1.0];
 
 /// A wall of `columns * rows` Gaussians with a pattern at depth 0.
@@ -18,7 +18,7 @@ pub fn wall([columns, rows]: [usize; 2]) -> BaseColumns {
     wall
 }
 
-/// A ball, or rather a cube, of `side³` Gaussians, after those that are there.
+/// Appends a ball, or rather a cube, of `side³` Gaussians.
 pub fn add_ball(columns: &mut BaseColumns, center: [f32; 3], side: usize) {
     for i in 0..side.pow(3) {
         let at = [i % side, i / side % side, i / side.pow(2)].map(|k| (k as f32 - (side as f32 - 1.0) / 2.0) * 0.1);

@@ -47,12 +47,12 @@ pub fn image_loss(
     loss_of(rendered, target, gain, offset, weights, rendered.num_pixels())
 }
 
-/// Compares some tiles of a rendered image with their target, as [`image_loss`] compares all of it: the gradient has the
-/// same bits there.
+/// Compares some tiles of a rendered image with their target. The gradient in these tiles has the same bits as that of
+/// [`image_loss`], which compares the whole image.
 ///
 /// - `mask`: the tiles
-/// - `v_image`: `[C, H, W]`, the gradient; overwritten in the tiles, of no meaning elsewhere
-/// - returns: the two losses, as sums over the tiles and what lies near them divided by the pixels of the whole image;
+/// - `v_image`: `[C, H, W]`, the gradient; overwritten in the tiles, undefined elsewhere
+/// - returns: the two losses, as sums over the tiles and their surroundings divided by the pixels of the whole image;
 ///   [`ImageLoss::v_image`] is empty, and the camera has no gradient
 #[allow(clippy::too_many_arguments, reason = "the arguments of image_loss, and where")]
 pub fn image_loss_in(
@@ -200,7 +200,7 @@ fn loss_of(
     }
 }
 
-/// L1 of one row of one channel, and its part of the gradient. *Accumulates* into `v_row`, then takes it back through the
+/// L1 of one row of one channel, and its part of the gradient. *Accumulates* into `v_row`, then multiplies it by the
 /// camera's factor.
 ///
 /// - `a`, `b`, `raw`: `[W]`, the camera's image, the target, the rendered image
@@ -286,7 +286,7 @@ mod tests {
         }
     }
 
-    /// The pattern of which the gate's pictures are made: a few tiles, apart and together, and at the edges.
+    /// Tile patterns as a gate produces them: a few tiles, apart and together, and at the edges.
     fn some_tiles(width: usize, height: usize) -> TileMask {
         let mut mask = TileMask::none(width, height);
         for (x, y) in [(0, 0), (40, 20), (56, 20), (40, 36), (119, 90), (70, 70)] {

@@ -46,7 +46,7 @@ struct Staged {
     views: Vec<Stage>,
 }
 
-/// What one forward chain leaves for the backward one.
+/// Intermediate results of the forward chain that the backward chain needs.
 struct DrawnChain {
     quantized: Option<Gaussians>,
     drawn: Activated,
@@ -81,12 +81,12 @@ impl Drawn {
         Self { activated: Arc::new(drawn), seen: has_harmonics.then(|| quantized.unwrap_or_else(|| gaussians.clone())) }
     }
 
-    /// With the colours of degree 0: for what does not depend on colours.
+    /// With the colours of degree 0, for uses that do not depend on colours.
     pub fn activated(&self) -> &Activated {
         &self.activated
     }
 
-    /// What a camera sees.
+    /// The Gaussians with the colours that a camera sees.
     pub fn seen_by(&self, camera: &Camera) -> Arc<Activated> {
         match self.colors_seen_by(camera) {
             Some(colors) => Arc::new(Activated { colors, ..Activated::clone(&self.activated) }),
@@ -113,9 +113,9 @@ impl Drawn {
     }
 }
 
-/// The forward chain: quantised (if on), activated, and what is drawn.
+/// The forward chain: quantises (if on), activates and masks.
 ///
-/// - `camera`: whose direction gives the colours where there are harmonics; none for those of degree 0
+/// - `camera`: its direction gives the colours of harmonics; none for those of degree 0
 fn chain(state: &State, mask_config: &MaskConfig, with_segmentation: bool, camera: Option<&Camera>) -> DrawnChain {
     let p = &state.parameters;
     let quantized = state.quantizers.as_ref().map(|q| q.forward(&p.gaussians));
@@ -157,11 +157,11 @@ pub struct CpuEngine {
     targets: Vec<Target>,
     /// Losses on motion, after the first timestep.
     prior: Option<MotionPrior<f32>>,
-    /// What the state is drawn with, where it does not hold the whole scene.
+    /// The scenery, if the state holds only a part of the scene.
     staged: Option<Staged>,
-    /// The gradient of the image that was rendered last in some tiles; without meaning in the others.
+    /// Gradient of the image rendered last, valid in the tiles drawn and undefined in the others.
     v_image: Image,
-    /// Not asked for yet.
+    /// Losses not yet returned.
     losses: Vec<LossTerms>,
 }
 
@@ -214,7 +214,7 @@ impl CpuEngine {
         let quantizers = self.state.quantizers.as_ref().map(|q| q.backward(&p.gaussians, &mut v_gaussians));
         laps.lap("activate backward");
         if let Some(prior) = &self.prior {
-            // Without segmentation nothing tells the foreground, which alone stands on the floor.
+            // Without segmentation the foreground, which alone stands on the floor, is unknown.
             let floor = if with_segmentation { step.weights.floor } else { 0.0 };
             let weights = WeightConfig { floor, ..*step.weights };
             let v = v_gaussians.views_mut();
@@ -269,14 +269,14 @@ impl CpuEngine {
         }
     }
 
-    /// Number of Gaussians that are trained: the first rows of the state.
+    /// Number of trained Gaussians: the first rows of the state.
     fn num_active(&self) -> usize {
         self.staged.as_ref().map_or(self.state.parameters.num_gaussians(), |staged| staged.num_active)
     }
 
     /// Updates the parameters by one step of Adam.
     ///
-    /// - `grads`: as [`Self::forward_backward`] returns them for `step`
+    /// - `grads`: as returned by [`Self::forward_backward`] for `step`
     pub fn update(&mut self, grads: &StepGrads, step: &Step<'_>) {
         let num_active = self.num_active();
         let State { parameters: p, optimizer: o, quantizers, .. } = &mut self.state;
@@ -385,7 +385,7 @@ pub(crate) fn center(rows: &mut [[f32; 3]]) {
     rows.iter_mut().for_each(|row| *row = std::array::from_fn(|channel| row[channel] - mean[channel]));
 }
 
-/// Without a densification to come its statistic is not computed.
+/// Render settings of an iteration: the densification statistic is computed only if it is counted.
 fn settings_of(step: &Step<'_>) -> RenderSettings {
     let settings = RenderSettings::default();
     RenderSettings {
@@ -394,7 +394,7 @@ fn settings_of(step: &Step<'_>) -> RenderSettings {
     }
 }
 
-/// Renders the whole image and takes its losses back.
+/// Renders the whole image and its losses, and propagates these back to the Gaussians.
 fn render_whole(
     drawn: &Activated,
     target: &Target,

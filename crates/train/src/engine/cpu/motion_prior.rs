@@ -221,13 +221,17 @@ fn first_row(indices: &[u32], num_rows: usize) -> usize {
     indices.last().map_or(0, |&last| last as usize + 1 - num_rows)
 }
 
-/// Sums over the links of a node, lane by lane: the three losses, then the negative gradients of its mean but for the
-/// part of `rigid` along leaving edges (3), that part in the node's frame (3), of its rotation by `rot` (4), and the
-/// gradient of its rotation matrix (9).
+/// Sums over the links of a node, lane by lane:
+///
+/// - the three losses (3)
+/// - the negative gradient of the node's mean, without the part of `rigid` along leaving edges (3)
+/// - the negative of that part, in the node's frame (3)
+/// - the negative gradient of the node's rotation by `rot` (4)
+/// - the gradient of the node's rotation matrix (9)
 type LinkSums<R> = [[R; LANES]; 22];
 
-/// `rigid`, `rot` and `iso` of some nodes: sums along the edges that leave them. *Accumulates* the nodes' gradients,
-/// those through the edges that arrive included.
+/// `rigid`, `rot` and `iso` of some nodes, as sums along the edges that leave them. *Accumulates* the nodes' gradients,
+/// including those through arriving edges.
 ///
 /// The simple version, for an edge from `i` to `k`:
 ///
@@ -238,10 +242,14 @@ type LinkSums<R> = [[R; LANES]; 22];
 /// iso   = √(w (‖offset‖ − first distance)² + ε)
 /// ```
 ///
-/// Departures, for speed: (1) a node walks all its edges and keeps its own share of the gradient alone, so opposite
-/// edges are computed at either end, and `rot` and `iso` of both at once; (2) `k` runs over lanes; (3) `R_k` is applied
-/// as a quaternion; (4) the product of two unit quaternions is taken to have unit length, since the gradient along
-/// its length ends at the stored one's.
+/// Departures, for speed:
+///
+/// 1. A node walks all its edges and keeps only its own share of the gradient. Opposite edges are therefore computed at
+///    either end, and `rot` and `iso` of both at once.
+/// 2. `k` runs over lanes.
+/// 3. `R_k` is applied as a quaternion.
+/// 4. The product of two unit quaternions is assumed to have unit length. The gradient along its length vanishes at the
+///    normalisation of the stored quaternions.
 ///
 /// - `first`: position of the first node
 /// - `indices`, `previous`: of the nodes
@@ -285,7 +293,7 @@ fn node_rows<R: Real>(
     losses
 }
 
-/// Adds a block's links to a node's sums. The loop over lanes has no loop inside: so compilers make vectors of it.
+/// Adds a block's links to a node's sums. The loop over lanes contains no loop, so that compilers vectorise it.
 #[inline(always)]
 fn add_links<R: Real>(
     nodes: &[Node<R>],
@@ -425,8 +433,8 @@ fn background_rows<R: Real>(
     sum
 }
 
-/// `stillness` of some Gaussians: the sum of distances, each times its stillness, before any weight. *Accumulates* their
-/// gradients.
+/// `stillness` of some Gaussians: the sum of distances weighted by stillness, before the loss's weight. *Accumulates*
+/// the gradients.
 #[multiversion(targets("x86_64+avx2"))]
 fn still_rows<R: Real>(
     still: &[(R, [R; 3], [R; 4])],

@@ -12,11 +12,11 @@ use crate::parameters::Parameters;
 #[derive(Clone, Debug)]
 pub(super) struct Stage {
     tiles: TileMask,
-    /// What reaches the tiles. The values of the state's rows are overwritten by each iteration.
+    /// Gaussians that reach the tiles. Each iteration overwrites the values of the state's rows.
     drawn: Activated,
-    /// `[rows]`, where in `drawn` each row of the state stands; empty if there are no tiles.
+    /// `[rows]`, position in `drawn` of each row of the state; empty if there are no tiles.
     places: Vec<usize>,
-    /// `[C, H, W]`, drawn anew in the tiles.
+    /// `[C, H, W]`, redrawn in the tiles.
     picture: Image,
 }
 

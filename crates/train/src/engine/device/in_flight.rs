@@ -1,9 +1,9 @@
-//! Iterations that a device was asked for and that are not yet known to be done.
+//! Iterations submitted to a device and not yet known to be done.
 //!
-//! A device writes the losses of an iteration to a slot of a ring, and a report of the whole ring travels to the host
-//! while later iterations run. What the host knows of the way stands in the type: an iteration belongs to the open
-//! batch until a report of that batch is asked for, then to the batch of that report, and to none once the report was
-//! read. Where a report says that the device had halted, [`InFlight::halt`] gives back all iterations from there on.
+//! A device writes the losses of an iteration to a slot of a ring. A report of the whole ring travels to the host while
+//! later iterations run. The type mirrors this path. An iteration belongs to the open batch until the host asks for
+//! that batch's report, then to the reported batch, and to none after the report was read. If a report says that the
+//! device has halted, [`InFlight::halt`] returns all iterations from there on.
 
 use std::collections::VecDeque;
 
@@ -16,12 +16,12 @@ pub(crate) struct Batch<S, R> {
     pub report: R,
 }
 
-/// All iterations under way. `S` is what an iteration was asked for, `R` a report on its way.
+/// All iterations under way. `S` is the request of an iteration, `R` a report on its way.
 #[derive(Debug)]
 pub(crate) struct InFlight<S, R> {
     /// Slots of the ring.
     slots: usize,
-    /// Submitted, and no report of it was asked for.
+    /// Iterations that were submitted and are in no report yet.
     open: Vec<S>,
     /// Batches whose reports are on their way, oldest first.
     reported: VecDeque<Batch<S, R>>,
@@ -33,20 +33,20 @@ impl<S, R> InFlight<S, R> {
         Self { slots, open: Vec::new(), reported: VecDeque::new() }
     }
 
-    /// The slot that the next iteration writes its losses to.
+    /// The slot to which the next iteration writes its losses.
     pub fn slot(&self) -> usize {
         self.open.len()
     }
 
-    /// Takes note of an iteration.
+    /// Records a submitted iteration.
     ///
-    /// - returns: whether the ring is full: a report is to be asked for before the next iteration
+    /// - returns: whether the ring is full, so that a report must be requested before the next iteration
     pub fn submitted(&mut self, step: S) -> bool {
         self.open.push(step);
         self.open.len() == self.slots
     }
 
-    /// Takes note of a report of the open batch.
+    /// Records the report of the open batch.
     ///
     /// # Panics
     /// If there is no open batch.
@@ -55,7 +55,7 @@ impl<S, R> InFlight<S, R> {
         self.reported.push_back(Batch { steps: std::mem::take(&mut self.open), report });
     }
 
-    /// Whether iterations are under way whose report was not asked for.
+    /// Whether iterations are under way whose report was not requested.
     pub fn has_open(&self) -> bool {
         !self.open.is_empty()
     }
@@ -80,10 +80,11 @@ impl<S, R> InFlight<S, R> {
         if self.oldest().is_some_and(is_ready) { self.reported.pop_front() } else { None }
     }
 
-    /// Empties itself: the device has halted, and did nothing that lasts since.
+    /// Empties the queue after the device has halted. The device has made no lasting change since.
     ///
-    /// - `from`: the iterations of the batch that told of it, from the one on at which the device halted
-    /// - returns: all iterations that are to be asked for again, in order
+    /// - `from`: iterations of the batch whose report told of the halt, starting with the one at which the device
+    ///   halted
+    /// - returns: all iterations to submit again, in order
     pub fn halt(&mut self, from: impl IntoIterator<Item = S>) -> Vec<S> {
         let later = self.reported.drain(..).flat_map(|batch| batch.steps).chain(self.open.drain(..));
         from.into_iter().chain(later).collect()

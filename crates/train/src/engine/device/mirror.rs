@@ -1,8 +1,8 @@
-//! The state in two memories, the host's and a device's, and which of them has the newest one.
+//! The state in two memories, the host's and a device's, with a record of the newest one.
 
 use crate::state::State;
 
-/// Where the newest state is.
+/// Location of the newest state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Newest {
     /// The host has changed it; the device has an older one or none.
@@ -27,26 +27,26 @@ impl Mirror {
         Self { state, newest: Newest::Host, version: 0 }
     }
 
-    /// The host's copy. What iterations change may be older than the device's; shape, quantizers' groups, past and counts
-    /// of updates are the newest.
+    /// The host's copy. Shape, quantizers' groups, past and counts of updates are the newest; values that iterations
+    /// change may be older than the device's.
     pub fn host(&self) -> &State {
         &self.state
     }
 
-    /// The host's copy, for what only the host keeps: counts of updates.
+    /// The host's copy, for data that only the host keeps: counts of updates.
     pub fn host_mut(&mut self) -> &mut State {
         &mut self.state
     }
 
-    /// A number that is another one whenever the newest state may be another.
+    /// A number that changes whenever the newest state may have changed.
     pub fn version(&self) -> u64 {
         self.version
     }
 
-    /// Brings the host's changes to the device, if there are any.
+    /// Uploads the host's changes, if any.
     ///
     /// # Errors
-    /// Those of `write`; the changes are then still to be uploaded.
+    /// Those of `write`; the changes then remain to be uploaded.
     pub fn upload<E>(&mut self, write: impl FnOnce(&State) -> Result<(), E>) -> Result<(), E> {
         if self.newest == Newest::Host {
             write(&self.state)?;
@@ -55,7 +55,7 @@ impl Mirror {
         Ok(())
     }
 
-    /// The device is to compute an iteration.
+    /// Records that the device computes an iteration.
     ///
     /// # Panics
     /// If the host's changes were not uploaded: the device would go on from an older state.
@@ -64,10 +64,10 @@ impl Mirror {
         (self.newest, self.version) = (Newest::Device, self.version + 1);
     }
 
-    /// Brings what the device computed to the host, if it has gone on.
+    /// Downloads the device's state, if it has gone on.
     ///
     /// # Errors
-    /// Those of `read`; the device's state is then still to be downloaded.
+    /// Those of `read`; the device's state then remains to be downloaded.
     pub fn download<E>(&mut self, read: impl FnOnce(&mut State) -> Result<(), E>) -> Result<&State, E> {
         if self.newest == Newest::Device {
             read(&mut self.state)?;
@@ -76,7 +76,7 @@ impl Mirror {
         Ok(&self.state)
     }
 
-    /// The host's copy, to be changed.
+    /// The host's copy, for changes.
     ///
     /// # Panics
     /// If the device's state was not downloaded: the change would undo iterations.
@@ -124,7 +124,7 @@ mod tests {
         let version = mirror.version();
         mirror.change();
         assert_ne!(mirror.version(), version);
-        // What failed is done again.
+        // A failed upload is repeated.
         assert!(mirror.upload(|_| Err("no memory")).is_err());
         mirror.upload(|_| count(&mut uploads)).unwrap();
         assert_eq!((uploads, downloads), (2, 1));

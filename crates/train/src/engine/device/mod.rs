@@ -1,8 +1,9 @@
-//! What an engine on a device needs of no device's interface: where a layout's columns lie in memory, what one iteration
-//! is asked for in `repr(C)`, who has the newest state, and which iterations are under way.
+//! The parts of a device engine that depend on no device's interface. `packing` places a layout's columns in memory,
+//! `step` is an iteration's request as `repr(C)`, `mirror` knows where the newest state is, and `in_flight` which
+//! iterations are under way.
 //!
-//! [`super::gpu`] is the one engine on a device there is. Nothing here knows `wgpu`; the shaders' text is WGSL, since
-//! [`tcgs_render::device::Wgsl`] puts it together.
+//! [`super::gpu`] is the only engine on a device. Nothing here knows `wgpu`; the shaders' text is WGSL, since
+//! [`tcgs_render::device::Wgsl`] composes it.
 
 mod in_flight;
 mod mirror;

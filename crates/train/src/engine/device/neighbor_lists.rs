@@ -1,11 +1,10 @@
-//! Neighbours as the shaders walk them: in an order that keeps what is near in space near in memory.
+//! Neighbours as the shaders walk them: in an order that keeps Gaussians near in space near in memory.
 //!
 //! A foreground Gaussian is a *node*, and its list is that of [`Neighbors`].
 //!
-//! Nodes lie along a Morton curve of their first positions, so that a workgroup's lists name few nodes
-//! beyond its own. Within a workgroup they are sorted by the length of their lists, and lists are stored
-//! slice by slice, [`SLICE`] nodes side by side: threads that run together read neighbouring words and end
-//! together.
+//! Nodes lie along a Morton curve of their first positions, so that a workgroup's lists name few nodes beyond its own.
+//! Within a workgroup nodes are sorted by the length of their lists. Lists are stored slice by slice, [`SLICE`] nodes
+//! side by side: threads that run together read neighbouring words and end together.
 
 use rayon::prelude::*;
 use tcgs_render::device::{WORKGROUP, Wgsl};
@@ -30,7 +29,7 @@ pub(crate) fn constants() -> Wgsl {
         .constant("LINK_STRIDE", WORDS * SLICE)
 }
 
-/// What the losses on motion walk; stays the same over all timesteps.
+/// The graph that the losses on motion walk; constant over all timesteps.
 #[derive(Debug, PartialEq)]
 pub(crate) struct NeighborLists {
     /// `[N]` the node that a Gaussian is, or its position among the background with the highest bit set.

@@ -1,4 +1,4 @@
-//! Where the columns of a layout lie in a device's memory, and what shaders call these places.
+//! Positions of a layout's columns in a device's memory, and the shaders' names for them.
 
 use std::sync::Arc;
 
@@ -56,7 +56,7 @@ pub struct Packing {
 }
 
 impl Packing {
-    /// Of all columns of `layout`.
+    /// Packs all columns of `layout`.
     pub fn new(layout: &Arc<Layout>) -> Self {
         Self { layout: Arc::clone(layout) }
     }
@@ -132,7 +132,7 @@ impl Packing {
         (place / GROUPS_A_WORD * num_gaussians + n, 8 * (place % GROUPS_A_WORD))
     }
 
-    /// What shaders call all this.
+    /// The shaders' names for these positions.
     pub(crate) fn constants(&self) -> Wgsl {
         let mut source = Wgsl::new();
         for (name, attribute) in NAMES {

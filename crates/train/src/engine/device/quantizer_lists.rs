@@ -1,7 +1,7 @@
-//! Who uses which learned quantizer, as a device walks it.
+//! Members of each group of learned quantizers, as a device walks them.
 //!
-//! Members of a group (one attribute, one width) are listed, so that a workgroup sums for one group's quantizers only and
-//! writes one row for each: no atomics, and every sum has one order.
+//! A group is one attribute at one bit width. A workgroup sums over the quantizers of one group only and writes one row
+//! for each: no atomics, and every sum has a fixed order.
 
 use super::packing::Packing;
 use crate::fake_quant::FakeQuantizers;
@@ -30,7 +30,7 @@ pub(crate) struct QuantizerLists {
 }
 
 impl QuantizerLists {
-    /// Of `quantizers`, or of none at all.
+    /// Lists for `quantizers`; they may be none at all.
     ///
     /// # Panics
     /// If a Gaussian has a width that no group has, or there are more groups than a byte can name.
@@ -71,7 +71,7 @@ impl QuantizerLists {
             first_quantizer += components;
         }
         assert_eq!(lists.members.len(), places.len() * num_gaussians, "members of all groups against Gaussians");
-        // In the order of the Gaussians that chunks begin with: others that need the same memory find it in the cache.
+        // Chunks in the order of their first Gaussians, so that chunks that need the same memory find it in the cache.
         chunks.sort_by_key(|&(first, chunk)| (chunk[0], first));
         lists.chunks = chunks.into_iter().map(|(_, chunk)| chunk).collect();
         lists
@@ -103,7 +103,7 @@ mod tests {
         bit_map.widths[Attribute::Quat.index()].iter_mut().step_by(3).for_each(|width| *width = 8);
         let quantizers = FakeQuantizers::new(bit_map, &Gaussians::zeros(n), true).unwrap();
         let lists = QuantizerLists::new(&Packing::new(&Layout::base()), &quantizers);
-        // Of rotations 2000 have 6 bits and 1000 have 8.
+        // 2000 rotations have 6 bits and 1000 have 8.
         let of_quats: Vec<u32> = lists.chunks.iter().filter(|chunk| chunk[1] == 4).map(|chunk| chunk[3]).collect();
         assert_eq!(of_quats.iter().sum::<u32>(), 3000);
         assert_eq!(of_quats.len(), 3);

@@ -1,11 +1,11 @@
 //! A scenery as the shaders read it: lists of Gaussians and of tiles, and the pixels that the losses compare with.
 //!
-//! Rows of the state come first among the Gaussians, so that a shader sees by its number alone whether a Gaussian is one of
-//! them. Lists of views have the scene's order, in which Gaussians of equal depth are drawn.
+//! Rows of the state come first among the Gaussians, so that a shader recognises them by their index. Lists of views
+//! keep the scene's order, in which Gaussians of equal depth are drawn.
 //!
-//! Of each view there are its tiles and around these a *ring*: the tiles beside them, corner to corner. SSIM of a pixel sees
-//! 5 pixels to each side, and the gradient of a pixel is a sum over as many, so nothing beyond 10 pixels changes a gradient in
-//! the tiles; a tile has 16. A ring's pixels are a constant, and lie in memory tile by tile.
+//! Each view has its drawn tiles and a *ring* around these: the tiles beside them, also across corners. SSIM of a pixel
+//! reaches 5 pixels to each side, and the gradient of a pixel sums as far. So pixels more than 10 away change no
+//! gradient in the drawn tiles, and a tile is 16 wide. A ring's pixels are constant, and lie in memory tile by tile.
 
 use rayon::prelude::*;
 use tcgs_core::{Activated, Image};
@@ -22,17 +22,17 @@ const PIXELS: usize = TILE * TILE;
 /// One view of a scenery, and where its lists and pixels begin, in values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct ListedView {
-    /// What the renderer draws.
+    /// The part of the scene that the renderer draws.
     pub part: ViewPart,
-    /// Tiles that are drawn, and those of the ring.
+    /// Number of tiles drawn and in the ring.
     pub num_near: u32,
-    /// In [`SceneryLists::lists`].
+    /// Position of the first slot in [`SceneryLists::lists`].
     pub slots_at: u32,
-    /// In [`SceneryLists::targets`].
+    /// Position of the first pixel in [`SceneryLists::targets`].
     pub targets_at: u32,
-    /// In [`SceneryLists::pictures`].
+    /// Position of the first value in [`SceneryLists::pictures`].
     pub pictures_at: u32,
-    /// In [`SceneryLists::colors`].
+    /// Position of the first value in [`SceneryLists::colors`].
     pub colors_at: u32,
 }
 
@@ -41,9 +41,9 @@ pub(crate) struct ListedView {
 pub(crate) struct SceneryLists {
     /// `D`: the rows of the state, then the other Gaussians that are drawn.
     pub num_drawn: usize,
-    /// Of these the rows.
+    /// Number of rows of the state among them.
     pub num_rows: usize,
-    /// `[(11 + C) D]`, as [`pack`] does it.
+    /// `[(11 + C) D]`, in the order of [`pack`].
     pub activated: Vec<f32>,
     /// View after view: `[L]` Gaussians in the scene's order; `[tiles of the image]` the slot of each, or [`NO_SLOT`];
     /// `[slots]` the tile of each, first those that are drawn, then the ring.
@@ -52,8 +52,8 @@ pub(crate) struct SceneryLists {
     pub targets: Vec<u32>,
     /// View after view, `[ring, C, 256]`: pixels of the picture; 0 beyond the image.
     pub pictures: Vec<f32>,
-    /// View after view, `[L, C]`: colours of the listed Gaussians as the view's camera sees them; empty where all cameras see
-    /// those of `activated`.
+    /// View after view, `[L, C]`: colours of the listed Gaussians as the view's camera sees them. Empty if all cameras
+    /// see the colours of `activated`.
     pub colors: Vec<f32>,
     /// `[cameras]`
     pub views: Vec<ListedView>,
@@ -117,7 +117,7 @@ impl SceneryLists {
     }
 }
 
-/// An order with the rows first, and each Gaussian's number in it.
+/// An order with the rows first, and each Gaussian's position in it.
 fn rows_first(places: &[u32], num_drawn: usize) -> (Vec<usize>, Vec<u32>) {
     let mut order: Vec<usize> = places.iter().map(|&place| place as usize).collect();
     let mut is_row = vec![false; num_drawn];
@@ -167,7 +167,7 @@ impl Near {
     }
 }
 
-/// The tiles beside those of a set, corner to corner, that are not in it; ascending.
+/// The tiles beside those of a set, also across corners, without the set; ascending.
 fn ring(mask: &TileMask) -> impl Iterator<Item = u32> + '_ {
     let [columns, rows] = mask.grid();
     let around = move |x: usize, end: usize| x.saturating_sub(1)..(x + 2).min(end);
@@ -180,8 +180,8 @@ fn ring(mask: &TileMask) -> impl Iterator<Item = u32> + '_ {
         .map(|tile| tile as u32)
 }
 
-/// A pixel of a target with 8 bits a channel: red, green, blue and foreground, the first lowest; foreground is 0 where there
-/// is no segmentation.
+/// A pixel of a target as one word of 8 bits per channel: red in the lowest byte, then green, blue and foreground.
+/// Foreground is 0 without segmentation.
 pub(crate) fn target_word(image: &Image, pixel: usize) -> u32 {
     let channel = |c: usize| if c < image.num_channels { image.plane(c)[pixel] } else { 0.0 };
     u32::from_le_bytes([0, 1, 2, 3].map(|c| (channel(c) * 255.0).round() as u8))

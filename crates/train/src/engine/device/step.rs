@@ -1,4 +1,4 @@
-//! What one iteration is asked for, as the shaders read it, and the text that every shader starts with.
+//! The request of one iteration as the shaders read it, and the text that every shader starts with.
 
 use tcgs_render::TILE;
 use tcgs_render::device::{ViewPart, Wgsl};
@@ -11,10 +11,10 @@ use crate::fake_quant::MIN_STEP_SHARE;
 use crate::losses::{Loss, WeightConfig};
 use crate::state::State;
 
-/// Values of a slot in the ring of losses: those of [`Loss::ALL`] before their weights, the status, zeros.
+/// Values per slot in the ring of losses: those of [`Loss::ALL`] before their weights, the status, zeros.
 pub const LOSS_VALUES: usize = (Loss::ALL.len() + 1).next_multiple_of(16);
 
-/// Where a row of losses holds the status: not 0 if the device had halted.
+/// Position of the status in a row of losses: not 0 if the device had halted.
 const STATUS: usize = Loss::ALL.len();
 
 /// One iteration, written by the host before it; with its rates ([`Self::bytes`]) the twin of `Step` in `step.wgsl`.
@@ -35,13 +35,13 @@ pub struct StepUniform {
     pub num_cameras: u32,
     /// Position of this view's camera.
     pub camera: u32,
-    /// Where in the ring of losses this iteration writes.
+    /// Slot of this iteration in the ring of losses.
     pub slot: u32,
     /// Sum of [`Self::MASKED`] and the others.
     pub flags: u32,
-    /// Of this view's image, pixels.
+    /// Width of this view's image, pixels.
     pub width: u32,
-    /// Of this view's image, pixels.
+    /// Height of this view's image, pixels.
     pub height: u32,
     /// `Q`
     pub num_quantizers: u32,
@@ -65,38 +65,38 @@ pub struct StepUniform {
     pub lists_at: u32,
     /// Position of this view's first value in the colours that views see.
     pub colors_at: u32,
-    /// Of this view's camera, in the world.
+    /// `x` of this view's camera in world space.
     pub eye_x: f32,
-    /// Of this view's camera, in the world.
+    /// `y` of this view's camera in world space.
     pub eye_y: f32,
-    /// Of this view's camera, in the world.
+    /// `z` of this view's camera in world space.
     pub eye_z: f32,
     /// `ε` of the masks.
     pub mask_threshold: f32,
-    /// A quantizer's step never falls below this share of where it started.
+    /// Smallest share of its initial value to which a quantizer's step may fall.
     pub step_min_share: f32,
     /// [`WeightConfig::values`]; `floor` is 0 without segmentation.
     pub weights: [f32; Loss::ALL.len()],
 }
 
-/// What an iteration is compared with, and where it lies in the device's memory.
+/// The image that an iteration compares with, and its position in the device's memory.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ViewPlace {
-    /// Pixels.
+    /// Width, pixels.
     pub width: u32,
-    /// Pixels.
+    /// Height, pixels.
     pub height: u32,
-    /// Of the camera, in the world.
+    /// Position of the camera in world space.
     pub eye: [f32; 3],
     /// Position of the image's first value.
     pub target_offset: u32,
     /// Whether all images have a segmentation.
     pub segmented: bool,
-    /// What is drawn of it; none if everything is.
+    /// The drawn part of the scene; none if everything is drawn.
     pub part: Option<PartPlace>,
 }
 
-/// A part of a scene and of an image, and where its lists lie in the device's memory.
+/// A part of a scene and of an image, and the position of its lists in the device's memory.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PartPlace {
     /// As in [`StepUniform`].
@@ -141,7 +141,7 @@ impl StepUniform {
         ("CENTERS_CAMERAS", Self::CENTERS_CAMERAS),
     ];
 
-    /// What `step` asks for, of a state of this shape. The slot is 0.
+    /// The uniform of `step` for a state of this shape, with slot 0.
     pub(crate) fn of(step: &Step<'_>, view: ViewPlace, state: &State) -> Self {
         let (past, quantizers) = (state.past.as_ref(), state.quantizers.as_ref());
         let num_gaussians = state.parameters.num_gaussians();
@@ -171,7 +171,7 @@ impl StepUniform {
             [num_listed, lists_at, view.slots_at, view.pictures_at, view.colors_at]
         });
         let [eye_x, eye_y, eye_z] = view.eye;
-        // Without segmentation nothing tells the foreground, which alone stands on the floor.
+        // Without segmentation the foreground, which alone stands on the floor, is unknown.
         let floor = if view.segmented { step.weights.floor } else { 0.0 };
         Self {
             num_gaussians: num_gaussians as u32,
@@ -226,7 +226,7 @@ impl StepUniform {
     }
 }
 
-/// What a shader needs of Adam for one group: `(step size, correction, 0, 0)`.
+/// Adam's factors for one group, as a shader reads them: `(step size, correction, 0, 0)`.
 ///
 /// - `rate`: learning rate; 0 leaves the group as it is
 /// - `count`: updates including this one, from 1
@@ -235,9 +235,9 @@ pub fn adam_rates(rate: f32, count: u64) -> [f32; 4] {
     [step_size, correction, 0.0, 0.0]
 }
 
-/// Counts an iteration for Adam, which the device does not.
+/// Counts an iteration for Adam; the device does not.
 ///
-/// - returns: [`adam_rates`] of every group, 0 of one that does not move
+/// - returns: [`adam_rates`] of every group, 0 for a group that does not move
 pub(crate) fn count_updates(step: &Step<'_>, packing: &Packing, state: &mut State) -> Vec<[f32; 4]> {
     let (has_quantizers, learned_offset) =
         state.quantizers.as_ref().map_or((false, false), |q| (!q.quantizers.is_empty(), q.learned_offset));
@@ -263,14 +263,14 @@ pub(crate) fn count_updates(step: &Step<'_>, packing: &Packing, state: &mut Stat
     counted
 }
 
-/// What a slot of the ring of losses says: the values of [`Loss::ALL`], or that the device had halted.
+/// The values of [`Loss::ALL`] in a slot of the ring of losses; none if the device had halted.
 pub(crate) fn losses_of(row: &[f32; LOSS_VALUES]) -> Option<[f64; Loss::ALL.len()]> {
     (row[STATUS] == 0.0).then(|| std::array::from_fn(|i| f64::from(row[i])))
 }
 
-/// A source with the uniform's declaration, its flags, Adam's constants, and where columns and losses lie.
+/// A source with the uniform's declaration, its flags, Adam's constants, and the positions of columns and losses.
 ///
-/// - `constants`: what else the shader needs
+/// - `constants`: further constants of the shader
 pub(crate) fn source(packing: &Packing, constants: Wgsl) -> Wgsl {
     let weights: Vec<String> = Loss::ALL.iter().map(|loss| format!("{}_weight: f32,", loss.name())).collect();
     let mut source = constants
@@ -347,7 +347,7 @@ mod tests {
         assert_eq!(*span as usize, StepUniform::size(&packing));
         let rates = vec![[0.0; 4]; packing.num_groups()];
         assert_eq!(StepUniform::default().bytes(&rates).len(), *span as usize);
-        // Every member but the last is one word, so that names and order say where it lies.
+        // Every member but the last is one word, so names and order give the positions.
         let text = format!("{:?}", StepUniform::default());
         let (words, rates) = members.split_at(members.len() - 1);
         let (plain, weights) = words.split_at(words.len() - Loss::ALL.len());

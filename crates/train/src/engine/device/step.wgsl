@@ -1,4 +1,4 @@
-// What one iteration is asked for; twin of `StepUniform` and its rates in step.rs, which puts WEIGHTS in.
+// The request of one iteration; twin of `StepUniform` and its rates in step.rs, which inserts WEIGHTS.
 struct Step {
     num_gaussians: u32,
     num_foreground: u32,

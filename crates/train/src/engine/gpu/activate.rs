@@ -1,8 +1,8 @@
 //! From stored values to what is drawn, and back: fake quantisation, activation, masks.
 //!
-//! As `CpuEngine::forward_backward` does on the CPU; the losses on masks are here too, since they need
-//! what the mask's gradient needs. The floor is memory, for every Gaussian: forward reads 68 bytes and
-//! writes 56 (64 with segmentation), backward reads 60 + 56 and writes 60.
+//! As `CpuEngine::forward_backward` on the CPU. The losses on masks are here too, since they need the inputs of the
+//! mask's gradient. The floor is memory, for every Gaussian: forward reads 68 bytes and writes 56 (64 with
+//! segmentation), backward reads 60 + 56 and writes 60.
 
 use tcgs_render::device::{WORKGROUP, Wgsl};
 use tcgs_render::gpu::raw::Bound;
@@ -10,8 +10,7 @@ use tcgs_render::gpu::{Gpu, GpuError};
 
 use crate::engine::device::{Packing, source};
 
-/// What activation and its backward read and write. Arrays about quantizers have room for one at least, also where there is
-/// none.
+/// Buffers of activation and its backward. Arrays for quantizers have room for at least one, even if there is none.
 #[derive(Clone, Copy, Debug)]
 pub struct ActivateBuffers<'a> {
     /// [`super::StepUniform`]
@@ -26,11 +25,12 @@ pub struct ActivateBuffers<'a> {
     pub group_starts: &'a wgpu::Buffer,
     /// `[Q, 4]` step, offset, lowest code, highest code.
     pub quantizers: &'a wgpu::Buffer,
-    /// `[(11 + C) D]` means, unit quats, scales, opacities, colors with `C` channels; the first `N` of each overwritten.
+    /// `[(11 + C) D]` means, unit quats, scales, opacities, colors with `C` channels; the first `N` of each are
+    /// overwritten.
     pub activated: &'a wgpu::Buffer,
-    /// `[(11 + C) N]` gradients to these.
+    /// `[(11 + C) N]` gradients with respect to these.
     pub v_activated: &'a wgpu::Buffer,
-    /// `[N]` of the timestep before; read only where masks are compared.
+    /// `[N]` mask logits of the timestep before; read only if masks are compared.
     pub previous_mask_logits: &'a wgpu::Buffer,
     /// `[values * N]` overwritten: gradients to the quantised stored values.
     pub grads: &'a wgpu::Buffer,
@@ -321,8 +321,8 @@ mod tests {
         let mut quantizers = FakeQuantizers::new(bit_map, &scene.gaussians, true).unwrap();
         let first = quantizers.quantizers.len() - 48;
         for (i, q) in quantizers.quantizers[first..].iter_mut().enumerate() {
-            // Of each width: exact halves, a symmetric quantizer, an offset beyond the range. No half is at
-            // zero, whose neighbours are so small that f64 loses them beside the offset.
+            // For each width: exact halves, a symmetric quantizer, an offset beyond the range. No half lies at zero,
+            // because values around zero are so small that f64 loses them beside the offset.
             let step = 2.0_f32.powi(-i32::from(q.bits));
             let (step, offset) = [(step, 0.25 + 2.0_f32.powi(-20)), (step * 1.1, 0.0), (step * 0.7, -3.1)][i % 3];
             *q = Quantizer::new(step, offset, q.bits).unwrap();

@@ -1,19 +1,22 @@
 
 // From stored values to what is drawn, and back.
 //
-// params, grads: columns of the stored form, then mask logits; column X begins at X_AT times N, see packing.rs
-// activated [(11 + C) D], v_activated [(11 + C) N]: means, unit quats, scales, opacities, colors [N, C]; column X begins at
-//     X_AT times D or N, see activated.rs of tcgs-render; C = 5 with segmentation (foreground, background after the
-//     colours), else 3. D Gaussians are drawn, of which the state's N are the first.
-// flags [N]: bit 0 is foreground
-// quantizer_groups [words, N]: bytes are groups of the quantised columns; that of column X is X_BYTE
-// group_starts [256]: a group's first quantizer, that of its first component
-// quantizers [Q]: step, offset, lowest code, highest code
-// mask_partials [groups, 2]: sums of sigmoid(mask logit) and of |mask logit - previous one|
-// v_means2d_ndc [N, 3]: x, y, visible; statistic [2 N]: sums of norms, then counts
+// N Gaussians are in the state, D are drawn; the state's are the first of these. C = 5 with segmentation (foreground
+// and background after the colours), else 3.
 //
-// A thread has a Gaussian where components of a row meet, and a value where they do not: neighbouring
-// threads then write neighbouring values.
+// - params, grads: columns of the stored form, then mask logits; column X begins at X_AT times N, see packing.rs
+// - activated [(11 + C) D], v_activated [(11 + C) N]: means, unit quats, scales, opacities, colors [N, C]; column X
+//   begins at X_AT times D or N, see activated.rs of tcgs-render
+// - flags [N]: bit 0 is foreground
+// - quantizer_groups [words, N]: bytes are groups of the quantised columns; that of column X is X_BYTE
+// - group_starts [256]: a group's first quantizer, which is that of its first component
+// - quantizers [Q]: step, offset, lowest code, highest code
+// - mask_partials [groups, 2]: sums of sigmoid(mask logit) and of |mask logit - previous one|
+// - v_means2d_ndc [N, 3]: x, y, visible
+// - statistic [2 N]: sums of norms, then counts
+//
+// One thread per Gaussian where the components of a row interact, and one per value elsewhere, so that neighbouring
+// threads write neighbouring values.
 
 @group(0) @binding(0) var<uniform> step: Step;
 @group(0) @binding(1) var<storage, read> params: array<f32>;

@@ -1,7 +1,8 @@
 //! Adam of the Gaussians: see [`crate::adam()`].
 //!
-//! The floor is memory: 28 bytes a value that moves (value, gradient and two moments in, all but the
-//! gradient out), nothing for a group that does not; a Gaussian of the base layout has 15 values, 11 after the first timestep.
+//! The floor is memory: 28 bytes for each value that moves (value, gradient and two moments in, all but the gradient
+//! out), and nothing for a group that does not move. A Gaussian of the base layout has 15 values, 11 after the first
+//! timestep.
 
 use tcgs_render::device::{MAX_GROUPS_X, Wgsl};
 use tcgs_render::gpu::raw::Bound;
@@ -12,7 +13,7 @@ use crate::engine::device::{Packing, source};
 /// Values that one workgroup updates.
 const BLOCK: usize = 1024;
 
-/// What Adam of the Gaussians reads and writes.
+/// Buffers of Adam for the Gaussians.
 #[derive(Clone, Copy, Debug)]
 pub struct AdamBuffers<'a> {
     /// [`super::StepUniform`]
@@ -98,7 +99,7 @@ mod tests {
             COMPONENTS.iter().scan(0, |sum, c| Some(std::mem::replace(sum, *sum + c * n))).collect();
         let mut values = random(1, 15 * n, -2.0, 2.0);
         let mut moments = COMPONENTS.map(|c| Moments::new(c * n));
-        // Moments that go on from a timestep before.
+        // Moments carried over from the timestep before.
         for (m, count) in moments.iter_mut().zip([0, 400, 7, 0, 90_000, 3]) {
             m.step = count;
             m.first.fill(1e-3);

@@ -1,11 +1,11 @@
 
 // Adam of all values of the active Gaussians, the first ones, in place.
 //
-// params, first_moments, second_moments, grads: columns of COMPONENTS values a Gaussian, the last one mask logits; see
-//     packing.rs
+// params, first_moments, second_moments, grads: columns of COMPONENTS values per Gaussian, the last one mask logits;
+// see packing.rs.
 //
-// A thread has four values and a workgroup BLOCK neighbouring ones of one attribute: neighbouring threads
-// read and write neighbouring values, and a group whose step size is 0 is left at once.
+// One thread updates four values, one workgroup BLOCK neighbouring values of one attribute. Neighbouring threads
+// therefore access neighbouring values, and a group whose step size is 0 returns at once.
 
 @group(0) @binding(0) var<uniform> step: Step;
 @group(0) @binding(1) var<storage, read_write> params: array<f32>;

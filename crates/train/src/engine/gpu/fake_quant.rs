@@ -1,14 +1,14 @@
 //! Fake quantisation on the GPU: the learned quantizers as buffers, and the backward of
 //! [`crate::FakeQuantizers`].
 //!
-//! [`QuantizerLists`] says who uses which, and why a workgroup sums for one group alone.
+//! [`QuantizerLists`] lists the members of each group, and says why a workgroup sums for one group alone.
 //!
 //! # The floor
 //!
-//! A Gaussian has 11 quantised values: 12 bytes each (value, gradient, gradient) and four entries of 4 bytes in the
-//! lists, 148 bytes, 50 MB of 340 k Gaussians; 15 operations and a division a value. Where widths alternate from one
-//! Gaussian to the next, a 32-byte sector is fetched by two to four groups; chunks are therefore dispatched in the
-//! order of the Gaussians that they begin with, so that the others find it in the cache.
+//! A Gaussian has 11 quantised values. Each takes 12 bytes (value, gradient, gradient), and the lists hold four entries
+//! of 4 bytes: 148 bytes in all, 50 MB for 340 k Gaussians. A value takes 15 operations and a division. If widths
+//! alternate from one Gaussian to the next, two to four groups fetch the same 32-byte sector. Chunks are therefore
+//! dispatched in the order of their first Gaussians, so that later fetches hit the cache.
 
 use tcgs_render::device::Wgsl;
 use tcgs_render::gpu::raw::Bound;
@@ -17,11 +17,11 @@ use tcgs_render::gpu::{Gpu, GpuError};
 use crate::engine::device::{Packing, QuantizerLists, quantizer_rows, source};
 use crate::fake_quant::FakeQuantizers;
 
-/// The learned quantizers (Q of them, of N Gaussians) and who uses which.
+/// The learned quantizers (Q of them, of N Gaussians), and the members of their groups.
 #[derive(Debug)]
 pub struct QuantizerBuffers {
-    /// `[words, N]` u32: position in [`FakeQuantizers::groups`] for each quantised column, a byte each, four a word, the
-    /// first lowest.
+    /// `[words, N]` u32: position in [`FakeQuantizers::groups`] for each quantised column, one byte each, four per
+    /// word, the first in the lowest byte.
     pub quantizer_groups: wgpu::Buffer,
     /// `[256]` u32: first quantizer of a group; that of component `c` comes `c` later.
     pub group_starts: wgpu::Buffer,
@@ -41,7 +41,7 @@ pub struct QuantizerBuffers {
 }
 
 impl QuantizerBuffers {
-    /// Uploads `quantizers`; of none at all it makes buffers that can be bound.
+    /// Uploads `quantizers`. With no quantizers at all, the buffers are small but can be bound.
     ///
     /// # Errors
     /// [`GpuError::Memory`] if they do not fit.
@@ -107,8 +107,8 @@ impl FakeQuantKernels {
         Self { bwd, num_chunks: quantizers.num_chunks }
     }
 
-    /// Records the backward: *overwrites* gradients to quantised values with those to the values themselves, and the
-    /// partial sums.
+    /// Records the backward: *overwrites* gradients with respect to quantised values with those to the values
+    /// themselves, and overwrites the partial sums.
     pub fn record(&self, pass: &mut wgpu::ComputePass<'_>) {
         self.bwd.dispatch(pass, [self.num_chunks, 1, 1]);
     }

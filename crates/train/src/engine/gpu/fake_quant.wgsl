@@ -1,9 +1,8 @@
 // Backward of fake quantisation; straight-through, learned steps and offsets (fake_quant_vjp on the CPU).
 //
-// fake_quant_bwd, a workgroup a chunk of up to 1024 members of a group (one attribute, one width): reads params,
-// overwrites grads, gradients to quantised values, with those to the values themselves, and writes for every
-// component one row of quantizer_partials: the sums of (v_step, v_offset), not yet scaled.
-// Q quantizers; N Gaussians.
+// fake_quant_bwd: one workgroup per chunk of up to 1024 members of a group (one attribute, one width). It reads params
+// and overwrites grads: gradients to quantised values become gradients to the values themselves. For every component it
+// writes one row of quantizer_partials: the sums of (v_step, v_offset), not yet scaled. Q quantizers; N Gaussians.
 
 @group(0) @binding(0) var<uniform> step: Step;
 @group(0) @binding(1) var<storage, read> params: array<f32>; // [values * N], see packing.rs
@@ -49,7 +48,7 @@ fn fake_quant_bwd(
     let values = chunks[2u * group.x];
     let target_rows = chunks[2u * group.x + 1u];
     let components = values.y;
-    // A thread keeps to one component; threads side by side take the components of one member.
+    // A thread keeps to one component; adjacent threads take the components of one member.
     let members_at_once = 256u / components;
     let member = local / components;
     let component = local % components;
@@ -64,7 +63,7 @@ fn fake_quant_bwd(
         }
     }
     sums[local] = sum;
-    // A tree over members: the upper part of what is left is added to the lower.
+    // A tree over members: the upper part of the remaining ones is added to the lower.
     for (var left = members_at_once; left > 1u; left = (left + 1u) / 2u) {
         workgroupBarrier();
         let kept = (left + 1u) / 2u;

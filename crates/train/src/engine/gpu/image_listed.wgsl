@@ -1,9 +1,10 @@
-// The pixels of an image of which some tiles are drawn, as image_whole.wgsl has it for all. Blocks are those tiles, then the
-// ring around them, whose pixels are a constant.
+// The pixels of an image of which some tiles are drawn, with the functions of image_whole.wgsl. Blocks are the drawn
+// tiles, then the ring around them, whose pixels are constant.
 //
-// lists, from step.slots_at on: the slot of each tile, NO_SLOT of those that are neither drawn nor in the ring, then the tile of
-//     each slot; slots from step.num_tiles on are of the ring
-// targets [slots, SIDE, SIDE]; pictures [slots of the ring, C, SIDE, SIDE], before the camera's correction
+// - lists, from step.slots_at on: the slot of each tile, NO_SLOT outside of drawn tiles and ring; then the tile of each
+//   slot. Slots from step.num_tiles on are of the ring.
+// - targets [slots, SIDE, SIDE]
+// - pictures [slots of the ring, C, SIDE, SIDE], before the camera's correction
 
 @group(0) @binding(7) var<storage, read> lists: array<u32>;
 @group(0) @binding(8) var<storage, read> pictures: array<f32>;
@@ -26,7 +27,7 @@ fn slot_of(pixel: vec2<u32>) -> u32 {
 fn raw_and_target(pixel: vec2<u32>, channel: u32) -> vec2<f32> {
     let slot = slot_of(pixel);
     if (slot == NO_SLOT) {
-        // Only what is not compared sees it.
+        // Only pixels that are not compared see it.
         return vec2(0.0);
     }
     let within = pixel.y % SIDE * SIDE + pixel.x % SIDE;
@@ -40,7 +41,7 @@ fn raw_and_target(pixel: vec2<u32>, channel: u32) -> vec2<f32> {
     return vec2(raw, target_value(targets[step.target_offset + slot * SIDE * SIDE + within], channel));
 }
 
-// The pixels that a window sees lie in the tiles of its corners, since it is smaller than a tile.
+// A window covers only the tiles of its corners, since it is smaller than a tile.
 fn is_compared(pixel: vec2<u32>) -> bool {
     let low = max(pixel, vec2(RADIUS)) - RADIUS;
     let high = min(pixel + RADIUS, vec2(step.width, step.height) - 1u);

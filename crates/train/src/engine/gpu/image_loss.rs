@@ -1,9 +1,9 @@
 //! `0.8 L1 + 0.2 (1 − SSIM)` on the GPU: see [`crate::engine::cpu::image_loss`].
 //!
-//! Two kernels, since the backward filter needs the forward's maps from beyond its block. The floor, for
-//! every pixel and channel: forward reads 8 bytes (image, target) and writes 12 (three maps), backward
-//! reads 20 and writes 4; blocks overlap, so that a value is read 2.6 times, from the cache all but once.
-//! Arithmetic: about 250 operations forward, 120 backward, and 100 and 70 reads of workgroup memory.
+//! Two kernels, since the backward filter needs the forward's maps from beyond its block. The floor, for every pixel
+//! and channel: forward reads 8 bytes (image, target) and writes 12 (three maps), backward reads 20 and writes 4.
+//! Blocks overlap, so that a value is read 2.6 times; all reads but the first hit the cache. Arithmetic takes about 250
+//! operations forward and 120 backward, and 100 and 70 reads of workgroup memory.
 
 use tcgs_metrics::{SSIM_C1, SSIM_C2, SSIM_WINDOW};
 use tcgs_render::device::{Coverage, MAX_GROUPS_X, Wgsl, groups_in_rows};
@@ -16,21 +16,21 @@ use crate::losses::{COUNTED_CHANNELS, L1_SHARE};
 /// Pixels along a block's side.
 const SIDE: usize = 16;
 
-/// What the image losses read and write.
+/// Buffers of the image losses.
 #[derive(Clone, Copy, Debug)]
 pub struct ImageLossBuffers<'a> {
     /// [`super::StepUniform`]
     pub step: &'a wgpu::Buffer,
-    /// `[C, H, W]` before the camera's colours.
+    /// `[C, H, W]` before the camera's gain and offset.
     pub rendered: &'a wgpu::Buffer,
-    /// `[views, H, W]` bytes red, green, blue, foreground; `[slots, 256]` where a part is drawn.
+    /// `[views, H, W]` bytes red, green, blue, foreground; `[slots, 256]` if a part is drawn.
     pub targets: &'a wgpu::Buffer,
-    /// `[2, K, 3]` logarithms of gains, then offsets; what follows is not read.
+    /// `[2, K, 3]` logarithms of gains, then offsets; the rest is not read.
     pub cameras: &'a wgpu::Buffer,
     /// `[C, H, W]` overwritten, in the tiles that are drawn.
     pub v_image: &'a wgpu::Buffer,
-    /// Where a part is drawn: the lists of its views and the pixels around its tiles, as
-    /// [`SceneryLists`](crate::engine::device::SceneryLists) has them.
+    /// If a part is drawn: the lists of its views and the pixels around its tiles, as in
+    /// [`SceneryLists`](crate::engine::device::SceneryLists).
     pub part: Option<[&'a wgpu::Buffer; 2]>,
 }
 
@@ -39,8 +39,8 @@ pub struct ImageLossBuffers<'a> {
 pub struct ImageLossKernels {
     fwd: Bound,
     bwd: Bound,
-    /// `[C, blocks, 4]` sums over each block of 16x16 pixels, in the order of the blocks: `1 − SSIM`, `|x − y|`, gradients to
-    /// the gain and to the offset. The last two say nothing for channels of segmentation.
+    /// `[C, blocks, 4]` sums over each block of 16x16 pixels, in the order of the blocks: `1 − SSIM`, `|x − y|`,
+    /// gradients with respect to gain and offset. The last two are meaningless for segmentation channels.
     pub partials: wgpu::Buffer,
 }
 
@@ -51,7 +51,7 @@ impl ImageLossKernels {
     /// - `max_blocks`: most blocks of an image that are compared
     ///
     /// # Errors
-    /// If memory for the maps or partial sums cannot be had.
+    /// If memory for the maps or partial sums cannot be allocated.
     pub fn new(
         gpu: &Gpu,
         packing: &Packing,
@@ -88,7 +88,7 @@ impl ImageLossKernels {
     }
 }
 
-/// What the shaders of the loss and of its sums share.
+/// Constants that the shaders of the loss and of its sums share.
 pub(super) fn constants() -> Wgsl {
     Wgsl::new().constant("L1_SHARE", L1_SHARE).constant("COUNTED_CHANNELS", COUNTED_CHANNELS).constant("SIDE", SIDE)
 }
@@ -123,7 +123,7 @@ mod tests {
     const GAIN: [f32; 3] = [0.1, -0.2, 0.05];
     const OFFSET: [f32; 3] = [0.02, 0.0, -0.03];
 
-    /// Packed values of two views, the second of which is wanted, and that one as an image.
+    /// Packed values of two views, and the second of them as an image.
     fn target(seed: u64, [channels, height, width]: [usize; 3]) -> (Vec<u32>, Image) {
         let pixels = height * width;
         let packed: Vec<u32> = random(seed, 2 * pixels, 0.0, 256.0)
@@ -131,7 +131,7 @@ mod tests {
             .enumerate()
             .map(|(i, &v)| {
                 let foreground = 255 * u32::from(v > 128.0);
-                // Noise above, a ramp below: where an image is smooth SSIM is at its most delicate.
+                // Noise above, a ramp below: SSIM is most delicate in smooth parts of an image.
                 let red = if i % pixels < pixels / 2 { v as u32 } else { (i % width * 255 / width) as u32 };
                 red | (v as u32 * 7 % 256) << 8 | (i as u32 % 256) << 16 | foreground << 24
             })
@@ -207,7 +207,7 @@ mod tests {
         }
     }
 
-    /// The gradient of the image and the sums of the blocks, of a whole image or of a part.
+    /// Gradient of the image and sums of the blocks, for a whole image or a part.
     fn on_gpu(
         gpu: &Gpu,
         step: &StepUniform,
@@ -219,7 +219,7 @@ mod tests {
         let v_image = gpu.storage("v_image", rendered.data.len()).unwrap();
         let lists =
             part.map(|p| [gpu.upload("lists", &p.lists).unwrap(), gpu.upload("pictures", &p.pictures).unwrap()]);
-        // Around the tiles that are drawn the image is nothing to go by.
+        // Around the drawn tiles the image is undefined.
         let mut drawn = rendered.clone();
         if let Some(lists) = part {
             let [columns, at] = [width.div_ceil(SIDE), step.slots_at as usize];

@@ -1,14 +1,15 @@
 
 // 0.8 L1 + 0.2 (1 - SSIM) of the rendered image against a target, forward and backward.
 //
-// rendered, v_image [C, H, W]; targets: bytes red, green, blue, foreground, each / 255
-// cameras [2, K, 3]: logarithms of gains, then offsets; the camera's image is exp(gain) * rendered + offset
-// maps [C, 3, H, W]: derivatives of the SSIM map to mean_x, square_x and product (see ssim.rs of tcgs-metrics)
-// partials [C, blocks, 4]: sums over a block of 1 - SSIM, |x - y|, v_gain and v_offset
+// - rendered, v_image [C, H, W]
+// - targets: bytes red, green, blue, foreground, each / 255
+// - cameras [2, K, 3]: logarithms of gains, then offsets; the camera's image is exp(gain) * rendered + offset
+// - maps [C, 3, H, W]: derivatives of the SSIM map to mean_x, square_x and product (see ssim.rs of tcgs-metrics)
+// - partials [C, blocks, 4]: sums over a block of 1 - SSIM, |x - y|, v_gain and v_offset
 //
-// A workgroup has a block of 16x16 pixels of one channel, which is a tile of the renderer. Which blocks there are, and where
-// their pixels lie, says image_whole.wgsl or image_listed.wgsl. The window is 11x11 and separable: what lies
-// under the windows of a block is loaded once, filtered along rows, then down columns.
+// A workgroup handles a block of 16x16 pixels of one channel, which is a tile of the renderer. image_whole.wgsl or
+// image_listed.wgsl defines the blocks and the positions of their pixels. The window is 11x11 and separable: the pixels
+// under the windows of a block are loaded once, filtered along rows, then down columns.
 
 @group(0) @binding(0) var<uniform> step: Step;
 @group(0) @binding(1) var<storage, read> rendered: array<f32>;
@@ -21,7 +22,7 @@
 // Pixels on each side of the window's centre: `blend` has a tap for each. WINDOW0 to WINDOW5 are the window's weights,
 // the centre's and those of one side.
 const RADIUS: u32 = 5u;
-// Pixels along a side of what a block's windows see.
+// Side of the square of pixels that a block's windows cover.
 const SEEN: u32 = SIDE + 2u * RADIUS;
 
 // Rendered and target.
@@ -43,7 +44,7 @@ fn correction(channel: u32) -> vec2<f32> {
     return vec2(exp(cameras[at]), cameras[3u * step.num_cameras + at]);
 }
 
-// A word of the targets, in one channel.
+// The value of a word of the targets in one channel.
 fn target_value(word: u32, channel: u32) -> f32 {
     let values = unpack4x8unorm(word);
     if (channel == 4u) {
@@ -65,8 +66,8 @@ fn is_inside(pixel: vec2<i32>) -> bool {
     return all(pixel >= vec2(0)) && all(pixel < vec2<i32>(vec2(step.width, step.height)));
 }
 
-// The row that a thread filters, in turns of 16. Half a warp has a row, the other half the eighth after it:
-// both then read other banks of the workgroup's memory.
+// The row that a thread filters, in turns of 16. Half a warp filters a row, the other half the eighth row after it, so
+// that both read different banks of workgroup memory.
 fn filtered_row(turn: u32, local: u32) -> u32 {
     return turn * 16u + local / 32u + 8u * ((local / 16u) & 1u);
 }

@@ -1,4 +1,4 @@
-//! What lies in the GPU's memory, and what has to be made anew when a part of it no longer fits.
+//! Contents of the GPU's memory, and the parts that must be rebuilt when one of them no longer fits.
 
 use std::sync::Arc;
 
@@ -31,13 +31,13 @@ pub(super) struct Loaded {
     pub motion: Option<Motion>,
 }
 
-/// What the GPU's memory holds. Each state holds all that the one before it does.
+/// Contents of the GPU's memory. Each state holds everything that the previous one does.
 #[derive(Debug, Default)]
 pub(super) enum Memory {
     /// Nothing.
     #[default]
     Empty,
-    /// A state, and no kernels that could iterate on it: the images or the room for pairs are to be others.
+    /// A state without kernels: images or room for pairs are about to change.
     Loaded(Loaded),
     /// A state, and the kernels of an iteration, bound to the state, to the images and to room for pairs.
     Ready(Loaded, Box<Passes>),
@@ -70,7 +70,7 @@ impl Memory {
 
     /// Binds the kernels of an iteration, unless they are bound.
     ///
-    /// - `parts`: what is drawn, where it is not everything
+    /// - `parts`: the part that is drawn; none if everything is
     /// - `num_pairs`: room for pairs of tiles and splats; 0 leaves it to a guess
     ///
     /// # Errors

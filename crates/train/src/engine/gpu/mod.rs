@@ -4,11 +4,11 @@
 //! Every 64 iterations (`REPORT`) the losses are copied out and arrive while later iterations run.
 //!
 //! An iteration that needs more pairs of tiles and splats than there is room for halts the GPU: from it on no kernel
-//! changes anything that outlives an iteration. The report says so; the host then enlarges the buffers
-//! and asks for the same iterations again. Results are those of buffers that were large enough from the start.
+//! changes anything that outlives an iteration. The report says so; the host then enlarges the buffers and submits the
+//! same iterations again. Results are those of buffers that were large enough from the start.
 //!
-//! What the engine is in the middle of stands in three types: `Mirror` says whether the host or the GPU has the newest
-//! state, `Memory` what the GPU's memory holds, and `InFlight` which iterations are not yet known to be done.
+//! Three types hold the engine's progress: `Mirror` says whether the host or the GPU has the newest state, `Memory`
+//! what the GPU's memory holds, and `InFlight` which iterations are not yet known to be done.
 
 mod activate;
 mod adam;
@@ -58,19 +58,19 @@ pub mod testing {
 /// Reports that may be on their way before the host waits for the first of them.
 const MAX_REPORTS: usize = 2;
 
-/// Room that is given beyond the pairs that were found to be needed.
+/// Factor by which room exceeds the pairs found to be needed.
 const SPARE_PAIRS: f64 = 1.25;
 
-/// Room for pairs of tiles and splats; grows only. 0 before it is known to be too small.
+/// Room for pairs of tiles and splats; only grows. 0 until a guess has proved too small.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Room {
-    /// Where everything is trained.
+    /// In timesteps that train everything.
     whole: usize,
-    /// Where a part is.
+    /// In timesteps that train a part.
     part: usize,
 }
 
-/// What one iteration was asked for. It may be submitted more than once.
+/// The request of one iteration. It may be submitted more than once.
 #[derive(Clone, Debug)]
 struct Request {
     uniform: StepUniform,
@@ -81,8 +81,8 @@ struct Request {
 
 /// The optimisation on a GPU.
 ///
-/// Iterations are submitted and run behind: [`Engine::step`] returns before they are computed, and their losses are known
-/// up to 64 iterations later. On one GPU results are the same at every run.
+/// Iterations run asynchronously: [`Engine::step`] returns before they are computed, and their losses are known up to
+/// 64 iterations later. On one GPU results are the same in every run.
 #[derive(Debug)]
 pub struct GpuEngine {
     gpu: Gpu,
@@ -90,17 +90,17 @@ pub struct GpuEngine {
     memory: Memory,
     /// The timestep's images.
     targets: Option<Targets>,
-    /// What the timestep is drawn with, where it trains a part of the scene.
+    /// The scenery of a timestep that trains a part of the scene.
     parts: Option<Parts>,
     room: Room,
     in_flight: InFlight<Request, Staged>,
-    /// Known, and not asked for yet.
+    /// Known, and not yet returned.
     losses: Vec<LossTerms>,
-    /// Once it was asked for.
+    /// Present after the first profile.
     timer: Option<StageTimer>,
-    /// Draws what is not trained on.
+    /// Renders outside of iterations: sensitivities and pictures.
     rasterizer: GpuRasterizer,
-    /// What a state draws with a mask: its version, the mask, and the Gaussians.
+    /// The Gaussians that a state draws with a mask, with the state's version and the mask.
     drawn: Option<(u64, MaskConfig, Drawn)>,
 }
 
@@ -122,8 +122,8 @@ impl GpuEngine {
         }
     }
 
-    /// Leaves room for `num_pairs` pairs of tiles and splats at first, instead of a guess. Too little room costs time, and
-    /// changes no result.
+    /// Leaves room for `num_pairs` pairs of tiles and splats at first, instead of a guess. Too little room costs time
+    /// but changes no result.
     #[must_use]
     pub fn with_room_for(mut self, num_pairs: usize) -> Self {
         self.room = Room { whole: num_pairs, part: num_pairs };
@@ -147,7 +147,7 @@ impl GpuEngine {
         Ok(self.memory.bind(&self.gpu, targets, parts, if parts.is_some() { room.part } else { room.whole })?)
     }
 
-    /// Takes note of an iteration, for the GPU's words and for Adam's counts. Everything is prepared.
+    /// Counts an iteration for Adam and makes its uniform. Everything is prepared.
     fn request(&mut self, step: &Step<'_>) -> Request {
         let targets = self.targets();
         let camera = &targets.cameras[step.camera];
@@ -241,7 +241,7 @@ impl GpuEngine {
         if self.parts.is_some() { &mut self.room.part } else { &mut self.room.whole }
     }
 
-    /// Enlarges the buffers and submits `requests`, from the one on that they were too small for.
+    /// Enlarges the buffers and resubmits `requests`, which start with the one that did not fit.
     fn repeat(&mut self, requests: Vec<Request>) -> Result<(), TrainError> {
         self.gpu.wait()?;
         let status = &self.memory.ready().1.renderer.buffers().status;
@@ -326,7 +326,7 @@ impl Engine for GpuEngine {
             if self.room == room {
                 return Ok(times);
             }
-            // It was repeated with more room, without a clock. Another one tells the time.
+            // It was repeated with more room but without a clock. The next iteration is timed.
         }
     }
 

@@ -1,15 +1,15 @@
-//! Losses that keep motion plausible after the first timestep, on the GPU; what they are stands with
-//! [`crate::engine::cpu::MotionPrior`].
+//! Losses that keep motion plausible after the first timestep, on the GPU; [`crate::engine::cpu::MotionPrior`] defines
+//! them.
 //!
-//! Two dispatches an iteration: `prior_gaussians` takes what concerns a Gaussian alone (`floor`,
-//! `background`, `soft_color`, `stillness`) and packs where the foreground is now; `prior_edges` walks the lists of
-//! [`NeighborLists`]. One dispatch a timestep, `prior_begin`, prepares what the losses compare with.
+//! Two dispatches per iteration: `prior_gaussians` computes the losses of a Gaussian alone (`floor`, `background`,
+//! `soft_color`, `stillness`) and packs the current poses of the foreground; `prior_edges` walks the lists of
+//! [`NeighborLists`]. One dispatch per timestep, `prior_begin`, prepares the reference of the losses.
 //!
 //! # The floor
 //!
-//! Counted for 340 k Gaussians, 150 k of them foreground with 20 neighbours each: 3.0 M edges. Two opposite edges
-//! share an entry, so there are 1.19 entries an edge (measured on a cloud of that size, split from the points of the
-//! basketball capture; 1.16 on the points themselves), and 5 % are padding.
+//! Counted for 340 k Gaussians, 150 k of them foreground with 20 neighbours each: 3.0 M edges. Two opposite edges share
+//! an entry, so there are 1.19 entries per edge, and 5 % are padding. The share was measured on a cloud of that size,
+//! split from the points of the basketball capture; it is 1.16 on the points themselves.
 //!
 //! | way | bytes an edge from memory | total | operations an edge |
 //! |---|---|---|---|
@@ -17,14 +17,14 @@
 //! | a list of edges that leave, one of those that arrive | 12 + 12 | 72 MB | 180 |
 //! | one list of both (this one) | 1.25 · 12 | 45 MB | 150 |
 //!
-//! An entry is a node, a weight and a first distance. The previous offset is not stored: like position and rotation
-//! it comes from 48 bytes of the neighbouring node, all nodes together 7 MB, which a cache holds; a workgroup's 256
+//! An entry is a node, a weight and a first distance. The previous offset is not stored. Like position and rotation it
+//! comes from 48 bytes of the neighbouring node; all nodes together are 7 MB and fit in a cache. A workgroup's 256
 //! lists name 670 nodes, 32 kB. A node itself moves 136 bytes, 20 MB, less than half of them its gradients. An entry
-//! takes about 120 operations and 5 roots, 0.5 G in all. On a GPU of 4.8 TB/s and 30 T operations a second memory
-//! takes 14 µs and arithmetic 17 µs, at the same time.
+//! takes about 120 operations and 5 roots, 0.5 G in all. On a GPU of 4.8 TB/s and 30 T operations a second memory takes
+//! 14 µs and arithmetic 17 µs, at the same time.
 //!
-//! `prior_gaussians` moves 80 bytes a Gaussian, 48 more of the foreground and 88 more of the background: 51 MB. `stillness`
-//! adds 32 bytes a Gaussian, 11 MB.
+//! `prior_gaussians` moves 80 bytes per Gaussian, 48 more for the foreground and 88 more for the background: 51 MB.
+//! `stillness` adds 32 bytes per Gaussian, 11 MB.
 
 use tcgs_core::{Gaussians, normalize};
 use tcgs_render::device::WORKGROUP;
@@ -42,15 +42,15 @@ pub struct PriorBuffers<'a> {
     pub params: &'a wgpu::Buffer,
     /// `[values * N]` f32, accumulated into.
     pub grads: &'a wgpu::Buffer,
-    /// [`super::StepUniform`], a uniform; of it the weights and the numbers of Gaussians, foreground and background, and
-    /// `per_node`.
+    /// [`super::StepUniform`], a uniform. Used are the weights, the numbers of Gaussians, foreground and background,
+    /// and `per_node`.
     pub step: &'a wgpu::Buffer,
     /// [`prior_rows`] rows of 8 f32, overwritten: sums of rigid, rot, iso, floor, background, soft_color,
     /// stillness, 0 before any weight, not yet divided by their counts.
     pub partials: &'a wgpu::Buffer,
 }
 
-/// Rows of partial sums: one a workgroup, first those of `prior_edges`, then those of `prior_gaussians`.
+/// Rows of partial sums: one per workgroup, first those of `prior_edges`, then those of `prior_gaussians`.
 pub fn prior_rows(num_gaussians: usize, num_foreground: usize) -> usize {
     let groups = |len: usize| len.div_ceil(WORKGROUP as usize);
     groups(num_foreground) + groups(num_gaussians)
@@ -158,10 +158,11 @@ impl MotionPriorKernels {
         })
     }
 
-    /// Starts a timestep: from now on the losses compare with `previous`. Iterations submitted before are not affected.
+    /// Starts a timestep: from here on the losses compare with `previous`. Iterations submitted before are not
+    /// affected.
     ///
     /// - `previous`: `[N]` the timestep before, stored form
-    /// - `stillness`: `[N]` how little each is seen to change, 0 to 1; empty if nothing is known of it
+    /// - `stillness`: `[N]` how still each is seen to be, 0 to 1; empty if unknown
     ///
     /// # Errors
     /// [`GpuError::Memory`] if the upload does not fit.

@@ -1,11 +1,13 @@
 // Losses that keep motion plausible, value and gradient. N Gaussians, F foreground ones (nodes, in the order
 // of `nodes`), B background ones.
 //
-// prior_begin, once a timestep: reads where everything was at the timestep before; writes what the losses compare with.
-// prior_gaussians, a thread a Gaussian: floor, background, soft_color, stillness; packs where nodes are for prior_edges.
-// prior_edges, a thread a node: rigid, rot, iso along every edge that leaves or arrives.
-// The last two accumulate into grads and write partials [ceil(F / 256) + ceil(N / 256), 8]:
-// rigid, rot, iso, floor, background, soft_color, stillness, 0, sums before any share or weight; rows of prior_edges first.
+// - prior_begin, once a timestep: reads the poses of the timestep before; writes the reference of the losses.
+// - prior_gaussians, one thread per Gaussian: floor, background, soft_color, stillness; packs the nodes' poses for
+//   prior_edges.
+// - prior_edges, one thread per node: rigid, rot, iso along every edge that leaves or arrives.
+//
+// The last two accumulate into grads and write partials [ceil(F / 256) + ceil(N / 256), 8]: rigid, rot, iso, floor,
+// background, soft_color, stillness, 0. These are sums before any share or weight; rows of prior_edges come first.
 
 @group(0) @binding(0) var<uniform> step: Step;
 @group(0) @binding(1) var<storage, read> params: array<f32>; // [values * N], see packing.rs
@@ -20,7 +22,7 @@
 @group(0) @binding(10) var<storage, read> nodes: array<vec4<u32>>; // [F] Gaussian, first link, number of links, 0
 @group(0) @binding(11) var<storage, read> links: array<u32>; // see neighbor_lists.rs
 
-// The same buffers where they are written: only then may what reads them be cached as constant.
+// The same buffers for writing: separate bindings let readers cache them as constant.
 @group(0) @binding(16) var<storage, read_write> previous_means_out: array<vec4<f32>>;
 @group(0) @binding(17) var<storage, read_write> previous_inverse_quats_out: array<vec4<f32>>;
 @group(0) @binding(18) var<storage, read_write> moving_out: array<vec4<f32>>;
@@ -28,7 +30,7 @@
 // Bits of an entry that name its node.
 const NODE: u32 = ~(LEAVES | ARRIVES);
 
-// Of unit rotations that differ by less only their rounding differs.
+// Unit rotations that differ by less differ in their rounding only.
 const ROUNDING: f32 = 5e-7;
 
 var<workgroup> sums: array<vec4<f32>, 256>;
@@ -59,7 +61,7 @@ fn rotate(q: vec4<f32>, v: vec3<f32>) -> vec3<f32> {
     return v + 2.0 * cross(q.yzw, cross(q.yzw, v) + q.x * v);
 }
 
-// 1 / |v|; 0 for no length, so that products with it are what the CPU's normalize and its VJP give.
+// 1 / |v|, or 0 for length 0, so that products with it equal the CPU's normalize and its VJP.
 fn inverse_length(v: vec4<f32>) -> f32 {
     let length = sqrt(dot(v, v));
     if (length > 0.0) {
@@ -91,7 +93,7 @@ fn unit_quat_before(gaussian: u32, num_gaussians: u32) -> vec4<f32> {
     return quat * inverse_length(quat);
 }
 
-// The sum of the absolute differences of a pose from another. Adds `share` times its gradient.
+// The sum of absolute differences of two poses. Adds `share` times its gradient.
 fn pose_l1(gaussian: u32, moved: vec3<f32>, unit: vec4<f32>, other: vec4<f32>, inverse: f32, share: f32) -> f32 {
     let turned = unit - other;
     add_to_mean(gaussian, share * sign(moved));
@@ -144,7 +146,8 @@ fn prior_gaussians(
         let inverse = inverse_length(quat);
         let unit = quat * inverse;
         if ((place & BACKGROUND) == 0u) {
-            // Unit but for rounding; an offset is turned by what is unit.
+            // Normalised again below: the product has unit length up to rounding, and only a unit rotation keeps
+            // lengths of offsets.
             let relative = quat_mul(unit, previous_inverse_quats[place]);
             moving_out[2u * place] = vec4<f32>(mean, inverse);
             moving_out[2u * place + 1u] = relative * inverse_length(relative);
@@ -187,9 +190,9 @@ fn prior_gaussians(
 
 // Along the edges of node i; returns sums of rigid, rot, iso over those that leave it.
 //
-// With the offset o of a neighbour, the offset P of the timestep before and the relative rotation R,
-// the residual of rigid is taken as o - R P instead of Rᵀo - P: as long, and its derivative by the angle
-// (R turns by a small rotation vector d to R + [d]R) is a cross product, -d · (R P × residual).
+// o is the offset of a neighbour, P its offset at the timestep before, R the relative rotation. The residual of rigid
+// is taken as o - R P instead of Rᵀo - P, which has the same length. R turns by a small rotation vector d to R + [d]R,
+// so the derivative of the residual by the angle is a cross product: -d · (R P × residual).
 fn node_edges(i: u32) -> vec4<f32> {
     let node = nodes[i];
     let num_edges = f32(step.num_foreground * step.per_node);

@@ -6,8 +6,8 @@ use tcgs_render::gpu::{Gpu, GpuError};
 use crate::engine::device::{ListedView, PartPlace, SceneryLists};
 use crate::engine::{Scenery, Target};
 
-/// What a timestep that trains a part of the scene is drawn with. Nothing of it but the rows' own values changes before the
-/// timestep ends.
+/// The scenery of a timestep that trains a part of the scene. Only the values of the rows change before the timestep
+/// ends.
 #[derive(Debug)]
 pub(super) struct Parts {
     /// `[(11 + C) D]`, rows of the state first; each iteration overwrites these.
@@ -56,7 +56,7 @@ impl Parts {
         Ok((parts, all.targets, offsets))
     }
 
-    /// What a view draws.
+    /// The part of the scene that a view draws, and its position in memory.
     ///
     /// # Panics
     /// If it draws nothing.

@@ -46,8 +46,8 @@ pub(super) struct Passes {
 }
 
 impl Passes {
-    /// - `parts`: what the timestep is drawn with, where it trains a part of the scene
-    /// - `prior_partials`: of the losses on motion; any buffer where there are none
+    /// - `parts`: the scenery, if the timestep trains a part of the scene
+    /// - `prior_partials`: of the losses on motion; any buffer without these losses
     pub fn new(
         gpu: &Gpu,
         model: &StateBuffers,

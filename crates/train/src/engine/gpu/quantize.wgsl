@@ -1,8 +1,8 @@
 
 // Quantizers, in the form (step, offset, lowest code, highest code).
 
-// `x`, so that the compiler cannot see that it is: compilers may reorder sums of floats, and
-// `reaches` lives on what rounding leaves behind. The last value of a rate is always 0.
+// `x`, hidden from the compiler: compilers may reorder sums of floats, and `reaches` relies on rounding errors. The
+// last value of a rate is always 0, so that the XOR changes nothing.
 fn opaque(x: f32) -> f32 {
     return bitcast<f32>(bitcast<u32>(x) ^ bitcast<u32>(step.adam[0].w));
 }
@@ -44,7 +44,7 @@ fn quantize(x: f32, quantizer: vec4<f32>) -> f32 {
     return clamp(sign(scaled) * code, quantizer.z, quantizer.w);
 }
 
-// What the file will say of `x`.
+// The value that a decoder reads for `x`.
 fn fake_quant(x: f32, quantizer: vec4<f32>) -> f32 {
     return fma(quantize(x, quantizer), quantizer.x, quantizer.y);
 }

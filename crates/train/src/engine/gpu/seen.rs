@@ -1,8 +1,8 @@
 //! Colours that depend on the direction of view, and back: spherical harmonics.
 //!
-//! As [`tcgs_core::seen_colors()`] and its backward do on the CPU. The floor is memory, for every
-//! Gaussian: forward reads its mean (12 bytes), its coefficients (36, 96 or 180) and its colour, and writes the colour (12);
-//! backward reads all of these and the gradients of mean and colour, and writes gradients of all.
+//! Twin of [`tcgs_core::seen_colors()`] and its backward on the CPU. The floor is memory, for every Gaussian. Forward
+//! reads its mean (12 bytes), its coefficients (36, 96 or 180) and its colour, and writes the colour (12). Backward
+//! reads all of these and the gradients of mean and colour, and writes gradients of all.
 
 use tcgs_render::device::Wgsl;
 use tcgs_render::gpu::Gpu;
@@ -10,7 +10,7 @@ use tcgs_render::gpu::raw::Bound;
 
 use crate::engine::device::{Packing, source};
 
-/// What the kernels read and write.
+/// Buffers of the kernels.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SeenBuffers<'a> {
     /// [`super::StepUniform`]
@@ -21,7 +21,8 @@ pub(super) struct SeenBuffers<'a> {
     pub activated: &'a wgpu::Buffer,
     /// `[values * N]`, as the backward of activation leaves it.
     pub grads: &'a wgpu::Buffer,
-    /// Where a part of the scene is trained: lists of what each view draws, and the colours in which it sees that.
+    /// Lists of the Gaussians that each view draws, and their colours as the view sees them; none if everything is
+    /// trained.
     pub part: Option<[&'a wgpu::Buffer; 2]>,
 }
 
@@ -59,7 +60,8 @@ impl SeenKernels {
         Some(Self { place, fwd, bwd, num_gaussians, max_listed })
     }
 
-    /// Records the forward: *overwrites* the colours of all that the view draws, those of rows where activation left them.
+    /// Records the forward: *overwrites* the colours of all Gaussians that the view draws; rows get theirs in place of
+    /// the colours that activation wrote.
     pub fn record_fwd(&self, pass: &mut wgpu::ComputePass<'_>) {
         if let Some(place) = &self.place {
             place.dispatch_over(pass, self.max_listed);
@@ -67,7 +69,8 @@ impl SeenKernels {
         self.fwd.dispatch_over(pass, self.num_gaussians);
     }
 
-    /// Records the backward: *overwrites* the gradients of colours and harmonics, and *accumulates* to those of the means.
+    /// Records the backward: *overwrites* the gradients of colours and harmonics, and *accumulates* into those of the
+    /// means.
     pub fn record_bwd(&self, pass: &mut wgpu::ComputePass<'_>) {
         self.bwd.dispatch_over(pass, self.num_gaussians);
     }
@@ -117,7 +120,7 @@ mod tests {
             v.values_mut(Attribute::Color).copy_from_slice(&random(8, 3 * n, -1.0, 1.0));
             v.values_mut(Attribute::Mean).copy_from_slice(&random(9, 3 * n, -1.0, 1.0));
 
-            // Some Gaussians beyond the rows, which the view lists backwards among others.
+            // Some Gaussians beyond the rows; the view lists them backwards among others.
             let num_drawn = n + 5;
             let listed: Vec<u32> = (0..num_drawn as u32).rev().collect();
             let elsewhere = random(10, channels * num_drawn, 0.0, 1.0);
@@ -168,7 +171,7 @@ mod tests {
                 assert_close(&name, &found[at..][..values.len()], values, 1e-5);
             }
 
-            // In a part of a scene the view sees what is not a row in the colours that are given.
+            // In a part of a scene the view sees Gaussians that are not rows in the given colours.
             let again = upload(&stored);
             let with_part = SeenBuffers { activated: &again, part: Some([&lists, &colors]), ..buffers };
             let kernels = SeenKernels::new(&gpu, &packing, with_part, n, num_drawn).unwrap();

@@ -1,11 +1,11 @@
 
 // The colours in which a camera sees Gaussians with spherical harmonics, and back.
 //
-// params, grads: as in activate.wgsl; band l of the harmonics begins at SHl_AT times N
-// activated: the colours of the N rows come in as stored ones, and go out as seen ones
-// lists, seen_elsewhere: the Gaussians of each view, see parts.rs, and the colours [L, C] in which it sees them
+// - params, grads: as in activate.wgsl; band l of the harmonics begins at SHl_AT times N
+// - activated: the colours of the N rows, stored ones in, seen ones out
+// - lists, seen_elsewhere: the Gaussians of each view, see parts.rs, and the colours [L, C] in which it sees them
 //
-// A thread has a Gaussian.
+// One thread per Gaussian.
 
 @group(0) @binding(0) var<uniform> step: Step;
 @group(0) @binding(1) var<storage, read> params: array<f32>;
@@ -66,7 +66,7 @@ fn harmonics_vjp(d: vec3<f32>, v: array<f32, 15>) -> vec3<f32> {
     return degree_1 + degree_2 + degree_3;
 }
 
-// Overwrites the colours in `activated` of what the view draws and the state has no rows of: they are constant.
+// Overwrites the colours of drawn Gaussians that are not rows of the state; these colours are constant.
 @compute @workgroup_size(256)
 fn place_seen(@builtin(global_invocation_id) id: vec3<u32>) {
     if (id.x >= step.num_listed) {
@@ -83,7 +83,7 @@ fn place_seen(@builtin(global_invocation_id) id: vec3<u32>) {
     }
 }
 
-// Overwrites the colours of the rows in `activated`, which come in as stored ones.
+// Replaces the stored colours of the rows in `activated` by the seen ones.
 @compute @workgroup_size(256)
 fn seen_fwd(@builtin(global_invocation_id) id: vec3<u32>) {
     let n = id.x;
@@ -104,8 +104,8 @@ fn seen_fwd(@builtin(global_invocation_id) id: vec3<u32>) {
     activated[at + 2u] = color.z;
 }
 
-// Overwrites the gradients of the harmonics and of the colours, which come in as those of the colours seen, and accumulates to
-// those of the means, on which the direction depends.
+// Overwrites the gradients of the harmonics, and replaces the gradients of the seen colours by those of the stored
+// colours. Accumulates into the gradients of the means, on which the direction depends.
 @compute @workgroup_size(256)
 fn seen_bwd(@builtin(global_invocation_id) id: vec3<u32>) {
     let n = id.x;
@@ -115,7 +115,7 @@ fn seen_bwd(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let at = COLOR_AT * num + 3u * n;
     let seen_at = COLORS_AT * step.num_drawn + num_channels() * n;
-    // Nothing passes a channel that is clamped.
+    // A clamped channel passes no gradient.
     var v_sum = vec3(0.0);
     for (var c = 0u; c < 3u; c += 1u) {
         if (activated[seen_at + c] > 0.0) {

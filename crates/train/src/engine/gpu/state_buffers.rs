@@ -1,4 +1,4 @@
-//! The optimisation's state in the GPU's memory, to and fro.
+//! Upload and download of the optimisation's state.
 
 use tcgs_codec::BitMap;
 use tcgs_render::gpu::{Gpu, GpuError};
@@ -9,10 +9,10 @@ use crate::engine::device::{LOSS_VALUES, Packing, StepUniform, quantizer_rows};
 use crate::fake_quant::FakeQuantizers;
 use crate::state::State;
 
-/// Iterations between two reports, and slots of the ring that losses are written to.
+/// Iterations between two reports, and slots of the ring of losses.
 pub(super) const REPORT: usize = 64;
 
-/// What outlives an iteration, and gradients.
+/// Data that outlives an iteration, and gradients.
 #[derive(Debug)]
 pub(super) struct StateBuffers {
     pub packing: Packing,
@@ -29,7 +29,7 @@ pub(super) struct StateBuffers {
     pub quantizers: QuantizerBuffers,
     pub quantizer_state: wgpu::Buffer,
     pub num_quantizers: usize,
-    /// What `flags` and `quantizers` were made for.
+    /// The segmentation that `flags` was made for; `quantizers` was made for `bit_map`.
     foreground: Vec<bool>,
     bit_map: Option<BitMap>,
     pub step: wgpu::Buffer,
@@ -37,7 +37,7 @@ pub(super) struct StateBuffers {
 }
 
 impl StateBuffers {
-    /// Memory for a state of this shape; nothing is written yet but what never changes.
+    /// Memory for a state of this shape. Only constants are written yet.
     pub fn new(gpu: &Gpu, state: &State) -> Result<Self, GpuError> {
         let n = state.parameters.num_gaussians();
         let packing = Packing::new(state.parameters.gaussians.layout());
@@ -69,8 +69,8 @@ impl StateBuffers {
         })
     }
 
-    /// Whether this memory is for states like this one: of its shape, and the same in what [`Self::write`] leaves as
-    /// it is. As many Gaussians may be others.
+    /// Whether this memory fits a state: its shape, and all data that [`Self::write`] does not overwrite, must agree.
+    /// The Gaussians themselves may differ.
     pub fn fits(&self, state: &State) -> bool {
         self.num_gaussians == state.parameters.num_gaussians()
             && self.packing.layout() == state.parameters.gaussians.layout()

@@ -21,7 +21,7 @@ pub(super) struct Targets {
 impl Targets {
     /// Copies the images to the GPU.
     ///
-    /// - `before`: of the timestep before, whose memory is used again if it is large enough
+    /// - `before`: images of the timestep before; their memory is reused if it is large enough
     pub fn new(gpu: &Gpu, targets: &[Target], before: Option<Self>) -> Result<Self, GpuError> {
         let mut packed: Vec<u32> = Vec::new();
         let mut offsets = Vec::with_capacity(targets.len());
@@ -54,12 +54,12 @@ impl Targets {
         Ok(Self { buffer, offsets, cameras, segmented, len })
     }
 
-    /// Channels of the images as they are compared.
+    /// Number of compared channels of the images.
     pub fn num_channels(&self) -> usize {
         if self.segmented { 5 } else { 3 }
     }
 
-    /// What kernels are bound to: equal shapes can share them.
+    /// Buffers and cameras that kernels are bound to; targets of equal shape share kernels.
     pub fn shape(&self) -> (wgpu::Buffer, usize, Vec<Camera>) {
         (self.buffer.clone(), self.num_channels(), self.cameras.clone())
     }

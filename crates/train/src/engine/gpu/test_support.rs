@@ -1,4 +1,4 @@
-//! What the tests of this module share.
+//! Helpers of this module's tests.
 
 use std::io::Write;
 
@@ -45,7 +45,7 @@ pub(super) fn relative_error(found: &[f32], expected: &[f32]) -> f64 {
     if difference == 0.0 { 0.0 } else { difference / norm }
 }
 
-/// Asserts that two arrays agree; says by how much.
+/// Asserts that two arrays agree; prints the difference.
 #[track_caller]
 pub(super) fn assert_close(what: &str, found: &[f32], expected: &[f32], tolerance: f64) {
     let error = relative_error(found, expected);
@@ -61,12 +61,12 @@ pub(super) fn run(gpu: &Gpu, record: impl FnOnce(&mut wgpu::ComputePass<'_>)) {
     gpu.wait().expect("the GPU works");
 }
 
-/// The uniform of an iteration of the base layout; rates that are not given are 0.
+/// The uniform of an iteration of the base layout; missing rates are 0.
 pub(super) fn uniform(gpu: &Gpu, step: &StepUniform, rates: &[[f32; 4]]) -> wgpu::Buffer {
     uniform_of(gpu, &Packing::new(&Layout::base()), step, rates)
 }
 
-/// The same of any layout.
+/// The same for any layout.
 pub(super) fn uniform_of(gpu: &Gpu, packing: &Packing, step: &StepUniform, rates: &[[f32; 4]]) -> wgpu::Buffer {
     let mut all = rates.to_vec();
     all.resize(packing.num_groups(), [0.0; 4]);
@@ -118,7 +118,7 @@ impl QuantizerTables {
     }
 }
 
-/// Parses and validates every shader of this module, and counts what its entry points use.
+/// Parses and validates every shader of this module, and counts the buffers that its entry points use.
 #[test]
 fn shaders_are_valid_and_within_limits() {
     use wgpu::naga::{AddressSpace, front, valid};

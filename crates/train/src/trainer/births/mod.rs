@@ -1,27 +1,28 @@
-//! Births: Gaussians for what no Gaussian of the first timestep can show.
+//! Births: Gaussians for content that no Gaussian of the first timestep can show.
 //!
-//! Luiten et al. 2024, and the paper with them, move the Gaussians of the first timestep and add none: what enters
-//! later, and what was hidden at first, never appears. Here, after a timestep's motion is trained:
+//! Luiten et al. 2024 and the paper move the Gaussians of the first timestep and add none. Content that enters later or
+//! was hidden at first never appears. Here, after a timestep's motion is trained:
 //!
-//! 1. The gate says which blocks of which views the scene still does not explain ([`crate::gate::Gate::unexplained`]).
-//! 2. `seeds` finds the places that several views agree on.
-//! 3. A Gaussian is born at each. The newborn alone learn all their attributes for a while, in the tiles that they
-//!    reach, among the rest of the scene, which is held.
-//! 4. Those that ended transparent or hidden by the mask are dropped. Those whose gradients stayed large are cloned or
-//!    split, as at the first timestep ([`crate::densify()`]), and the newborn learn for as long again.
-//! 5. They join the state. From the next timestep on they move as all others do.
+//! 1. The gate finds the blocks of each view that the scene still does not explain
+//!    ([`crate::gate::Gate::unexplained`]).
+//! 2. `seeds` finds the places on which several views agree.
+//! 3. A Gaussian is born at each place. The newborn alone learn all their attributes for a while, in the tiles that
+//!    they reach; the rest of the scene is drawn and held.
+//! 4. Newborn that end transparent or hidden by the mask are dropped. Newborn whose gradients stay large are cloned or
+//!    split, as at the first timestep ([`crate::densify()`]). All newborn then learn for as long again.
+//! 5. They join the state. From the next timestep on they move like all others.
 //!
-//! What enters is first seen by few views, or from one side. So for some timesteps the young go on learning all their
-//! attributes after each timestep that trained them. Then they settle: opacity, scales and harmonics stay, as those of
-//! all others. A checkpoint holds what its timestep learned; a scene has the values that a Gaussian settled with at all
-//! timesteps ([`crate::StandIns`]).
+//! An entering object is first seen by few views, or from one side. For some timesteps the young therefore go on
+//! learning all their attributes after each timestep that trained them. Then they settle: opacity, scales and harmonics
+//! stay, like those of all others. A checkpoint holds the values learned at its timestep. A scene has the settled
+//! values at all timesteps ([`crate::StandIns`]).
 //!
 //! Newborn Gaussians are neighbours of those born with them, by the poses of their first timestep. The sensitivity of
 //! their parameters is not measured: each column has the largest bit width of the first timestep.
 //!
-//! Two things were tried and did not help. Moving everything again, once the newborn are there, had the same PSNR in
-//! more time. Letting Gaussians die whose removal lowers the error to first order gained nothing on the demo, and lost
-//! where the scene is blurred: the Gaussians of a blur are each for the worse.
+//! Two variants did not help. Moving everything again with the newborn had the same PSNR in more time. Removing
+//! Gaussians whose removal lowers the error to first order gained nothing on the demo. It lost where the scene is
+//! blurred, because each Gaussian of a blur by itself increases the error.
 
 mod seeds;
 
@@ -42,13 +43,13 @@ use crate::parameters::Parameters;
 use crate::schedule::Phase;
 use crate::state::State;
 
-/// Largest scale of a Gaussian that stays, in distances between the rays that found its place.
+/// Largest scale of a Gaussian that is kept, in distances between the rays that found its place.
 const MAX_GROWTH: f32 = 3.0;
 
 impl Trainer {
-    /// Gives birth to what a timestep shows and the scene, as the timestep left it, does not; then lets the young learn.
+    /// Gives birth to content that a timestep shows and the trained scene does not, then trains the young.
     ///
-    /// - `activity`: what the timestep trained; its part of the pictures is drawn anew
+    /// - `activity`: what the timestep trained; the pictures are redrawn there
     ///
     /// # Errors
     /// As [`Trainer::fit`].
@@ -86,9 +87,9 @@ impl Trainer {
         Ok(())
     }
 
-    /// Trains the newborn and drops those that are not worth keeping.
+    /// Trains the newborn and drops those not worth keeping.
     ///
-    /// - `born`: these alone
+    /// - `born`: the newborn alone
     /// - `spacings`: `[born]` distance between the rays that found each, scene units
     fn grow(
         &mut self,
@@ -129,7 +130,7 @@ impl Trainer {
         done.cloned + done.split > 0
     }
 
-    /// Lets those born at the timesteps just before learn all their attributes, as far as this timestep trained them.
+    /// Trains all attributes of the young, Gaussians born at the timesteps just before, if this timestep trained them.
     fn raise_young(&mut self, views: &[View], activity: &Activity) -> Result<(), TrainError> {
         let config = &self.config.births;
         let Some(gate) = &self.gate else { return Ok(()) };
@@ -155,9 +156,9 @@ impl Trainer {
 
     /// Trains all attributes of a few Gaussians, and leaves the engine's state as it was.
     ///
-    /// - `small`: these alone
-    /// - `rows`: their indices in the scene; none of those that are not in it yet
-    /// - returns: what they have become
+    /// - `small`: these Gaussians alone
+    /// - `rows`: their indices in the scene; empty if they have not joined it
+    /// - returns: their trained values
     fn nurse(
         &mut self,
         phase: Phase,
@@ -215,7 +216,7 @@ fn alone(few: Parameters, scene: &State) -> State {
     state
 }
 
-/// Those that are worth keeping: neither transparent nor hidden, and not grown far beyond where they were seen.
+/// Indices of the Gaussians worth keeping: neither transparent nor hidden, and not far larger than their ray spacing.
 ///
 /// - `spacings`: `[grown]` distance between the rays that found each, scene units
 fn viable(grown: &Parameters, spacings: &[f32], opacity: f32, mask_threshold: Option<f32>) -> Vec<usize> {

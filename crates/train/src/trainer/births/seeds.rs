@@ -1,9 +1,9 @@
-//! Where Gaussians are born: points that several views agree on, among the pixels that the scene does not explain.
+//! Places of birth: points on which several views agree, among the pixels that the scene does not explain.
 //!
-//! A plane sweep (Collins 1996) with evidence: the ray of an unexplained pixel is walked from near to far, and a depth
-//! counts as far as other views see the same colour there and do not explain it either. A view that explains what it
-//! sees at that place says that nothing new is there. So a surface without texture is found on the visual hull of what
-//! is unexplained.
+//! A plane sweep (Collins 1996) with evidence. The ray of an unexplained pixel is walked from near to far. A depth
+//! counts as far as other views see the same colour there and do not explain it either. A view that explains its pixel
+//! at that place votes against anything new there. A surface without texture is thus found on the visual hull of the
+//! unexplained pixels.
 
 use std::collections::BTreeMap;
 
@@ -13,15 +13,15 @@ use tcgs_core::{Image, Pinhole, View};
 
 use crate::gate::{Blocks, median};
 
-/// Depths that are looked at on a ray, evenly in their inverse.
+/// Number of depths tested on a ray, evenly spaced in their inverse.
 const DEPTHS: usize = 128;
-/// Mean absolute difference of two views' colours up to which they may be of one point.
+/// Mean absolute difference of two views' colours up to which they may show the same point.
 const SAME_COLOR: f32 = 0.08;
-/// Views, beside a ray's own, that must agree on a depth.
+/// Number of views, besides a ray's own, that must agree on a depth.
 const MIN_AGREEING: usize = 2;
-/// How near other views' seeds must be, in distances between rays.
+/// Largest distance to a seed of another view, in distances between rays.
 const SUPPORT: f32 = 2.0;
-/// Share of the scene's points that may lie beyond the depths looked at, at either end.
+/// Share of the scene's points that may lie beyond the tested depths, at either end.
 const BEYOND: f64 = 0.005;
 
 /// A place at which a Gaussian is born.
@@ -36,7 +36,7 @@ pub(super) struct Seed {
     pub foreground: bool,
 }
 
-/// A view with what the scene does not explain in it.
+/// A view with the blocks that the scene does not explain.
 struct Sight<'a> {
     view: &'a View,
     pinhole: Pinhole<f32>,
@@ -45,10 +45,10 @@ struct Sight<'a> {
 
 /// Finds the places at which Gaussians are born.
 ///
-/// - `views`: one a camera
+/// - `views`: one per camera
 /// - `unexplained`: `[views]`
-/// - `means`: `[N, 3]` of the scene, for the depths that it has
-/// - `most`: number of places, about at most
+/// - `means`: `[N, 3]` of the scene, for its range of depths
+/// - `most`: approximate maximum number of places
 pub(super) fn seeds(views: &[View], unexplained: &[Blocks], means: &[[f32; 3]], most: usize) -> Vec<Seed> {
     let sight = |(view, unexplained)| Sight { view, pinhole: Pinhole::new(&view.camera), unexplained };
     let sights: Vec<Sight<'_>> = views.iter().zip(unexplained).map(sight).collect();
@@ -56,7 +56,7 @@ pub(super) fn seeds(views: &[View], unexplained: &[Blocks], means: &[[f32; 3]], 
     thinned(supported(&found), most)
 }
 
-/// The seeds near which other views' rays found some, too: within [`SUPPORT`] times their spacing.
+/// The seeds that other views' rays support with a seed within [`SUPPORT`] times their spacing.
 ///
 /// - `found`: `[views]`
 fn supported(found: &[Vec<Seed>]) -> Vec<Seed> {
@@ -95,7 +95,7 @@ fn found_by(sights: &[Sight<'_>], of: usize, means: &[[f32; 3]]) -> Vec<Seed> {
                 let share = i as f32 / (DEPTHS - 1) as f32;
                 1.0 / (1.0 / near + (1.0 / far - 1.0 / near) * share)
             };
-            // Of equally good depths the nearest: the hull's surface.
+            // Among equally good depths the nearest wins: the hull's surface.
             let mut best: Option<(f32, f32)> = None;
             for depth in (0..DEPTHS).map(depth) {
                 let score = score(sights, of, me.pinhole.unproject(place, depth), color);
@@ -117,7 +117,7 @@ fn found_by(sights: &[Sight<'_>], of: usize, means: &[[f32; 3]]) -> Vec<Seed> {
     seeds
 }
 
-/// How well the other views agree that a point of this colour is new; none if they do not.
+/// Score of the other views' agreement that a point of this colour is new; none if they disagree.
 fn score(sights: &[Sight<'_>], of: usize, point: [f32; 3], color: [f32; 3]) -> Option<f32> {
     let (mut agreeing, mut against, mut difference) = (0, 0, 0.0);
     for other in sights.iter().enumerate().filter(|(i, _)| *i != of).map(|(_, sight)| sight) {
@@ -129,7 +129,7 @@ fn score(sights: &[Sight<'_>], of: usize, point: [f32; 3], color: [f32; 3]) -> O
         }
         let there = mean_color(&other.view.image, x, y);
         let distance = (0..3).map(|c| (there[c] - color[c]).abs()).sum::<f32>() / 3.0;
-        // Another colour may be the other side of the same thing.
+        // Another colour may be the other side of the same object.
         if distance < SAME_COLOR {
             agreeing += 1;
             difference += distance / SAME_COLOR;
@@ -139,7 +139,7 @@ fn score(sights: &[Sight<'_>], of: usize, point: [f32; 3], color: [f32; 3]) -> O
     is_agreed.then_some(agreeing as f32 - against as f32 - difference)
 }
 
-/// The nearest and the farthest depth of the scene in a view; none if the view sees nothing of it.
+/// The nearest and the farthest depth of the scene in a view; none if the view sees no part of it.
 fn range(pinhole: &Pinhole<f32>, means: &[[f32; 3]]) -> Option<[f32; 2]> {
     let mut depths: Vec<f32> = means.iter().filter_map(|&mean| Some(pinhole.pixel(mean)?.1)).collect();
     depths.sort_by(f32::total_cmp);
@@ -148,7 +148,7 @@ fn range(pinhole: &Pinhole<f32>, means: &[[f32; 3]]) -> Option<[f32; 2]> {
     Some([0.5 * near, 1.2 * far])
 }
 
-/// The mean of a pixel and of those to the left and above, where there are any: a ray through their corner.
+/// The mean of a pixel and of its neighbours to the left and above, if any: the colour of a ray through their corner.
 fn mean_color(image: &Image, x: usize, y: usize) -> [f32; 3] {
     let (left, above) = (x.saturating_sub(1), y.saturating_sub(1));
     std::array::from_fn(|channel| {
@@ -158,8 +158,8 @@ fn mean_color(image: &Image, x: usize, y: usize) -> [f32; 3] {
     })
 }
 
-/// One seed a cell of a grid: first the finest grid whose cells are as wide as rays are apart, then coarser ones until there
-/// are few enough.
+/// One seed per cell of a grid. The finest grid has cells as wide as the distance between rays; coarser ones follow
+/// until the seeds are few enough.
 ///
 /// - `most`: at least 1
 fn thinned(seeds: Vec<Seed>, most: usize) -> Vec<Seed> {
@@ -168,7 +168,7 @@ fn thinned(seeds: Vec<Seed>, most: usize) -> Vec<Seed> {
     }
     let spacings: Vec<f32> = seeds.iter().map(|seed| seed.spacing).collect();
     let mut edge = median(&spacings);
-    // From their corner: a grid that is as wide as the seeds has a single cell.
+    // Starting at their corner: a grid as wide as the seeds has a single cell.
     let corner: [f32; 3] =
         std::array::from_fn(|i| seeds.iter().map(|seed| seed.position[i]).fold(f32::INFINITY, f32::min));
     loop {
@@ -210,7 +210,7 @@ mod tests {
         for most in [1, 2, 7] {
             let few = thinned(seeds.clone(), most);
             assert!((1..=most).contains(&few.len()), "{} of at most {most}", few.len());
-            // No larger than what they stand for.
+            // No larger than the seeds that they stand for.
             assert!(few.iter().all(|seed| seed.spacing < 60.0), "{few:?}");
         }
         assert!(!thinned(seeds, 1)[0].foreground);

@@ -9,7 +9,7 @@ use tcgs_train::{FakeQuantizers, LossTerms, Optimizer, Parameters, Past, Pose, R
 
 use super::{Random, relative_l2};
 
-/// Default settings, and masks: everything that an engine computes.
+/// Default settings with masks: everything that an engine computes.
 pub fn config() -> TrainConfig {
     let mut config = TrainConfig::default();
     config.mask.enabled = true;
@@ -17,7 +17,7 @@ pub fn config() -> TrainConfig {
     config
 }
 
-/// `n` Gaussians at random.
+/// `n` random Gaussians.
 pub fn state(n: usize, cameras: usize, is_foreground: impl Fn(usize) -> bool) -> State {
     let mut random = Random::new(n as u64);
     let cloud = PointCloud {
@@ -46,7 +46,7 @@ pub fn with_harmonics(mut state: State, degree: usize) -> State {
     State::new(state.parameters)
 }
 
-/// A random image, by a camera that sees what [`state`] makes.
+/// A random image of a camera that sees the Gaussians of [`state`].
 pub fn target([width, height]: [usize; 2], channels: usize, seed: u64) -> Target {
     let mut random = Random::new(seed);
     let x = random.within(1.0).into();
@@ -66,7 +66,7 @@ pub fn target([width, height]: [usize; 2], channels: usize, seed: u64) -> Target
     Target { camera, image }
 }
 
-/// Adds a past to `state`: everything was a little elsewhere.
+/// Adds a past to `state`, with slightly different poses.
 pub fn with_past(mut state: State) -> State {
     let mut random = Random::new(99);
     let g = &state.parameters.gaussians;
@@ -85,7 +85,7 @@ pub fn step(camera: usize, rates: Rates, config: &TrainConfig) -> Step<'_> {
     Step { camera, rates, weights, mask, counts_gradients: true, moves_gaussians: true }
 }
 
-/// Everything that outlives an iteration, bit for bit.
+/// All data that outlives an iteration, bit for bit.
 pub fn bits(state: &State) -> Vec<u32> {
     let (p, o) = (&state.parameters, &state.optimizer);
     let mut values: Vec<f32> = Attribute::BASE.iter().flat_map(|&a| p.gaussians.values(a).to_vec()).collect();
@@ -115,7 +115,7 @@ pub fn quantized(mut state: State, learned_offset: bool) -> State {
     state
 }
 
-/// Asserts that two engines did the same but for rounding.
+/// Asserts that two engines computed the same except for rounding.
 ///
 /// - `expected`, `found`: losses and states
 pub fn assert_same(

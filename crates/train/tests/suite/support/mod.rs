@@ -1,4 +1,4 @@
-//! What tests on a GPU share.
+//! Helpers of tests on a GPU.
 
 pub mod engines;
 
@@ -10,21 +10,21 @@ use rand_pcg::Pcg64Mcg;
 use tcgs_core::{Attribute, Column, Columns, Layout};
 use tcgs_render::gpu::{Gpu, GpuChoice};
 
-/// The GPU that tests run on, by the name in `TCGS_TEST_GPU`; Mesa's software adapter without it.
+/// The GPU for tests, by the name in `TCGS_TEST_GPU`, or Mesa's software adapter.
 pub fn gpu() -> Option<Gpu> {
     let name = std::env::var("TCGS_TEST_GPU").unwrap_or_else(|_| "llvmpipe".into());
     match Gpu::open(GpuChoice::Named(&name)) {
         Ok(gpu) => Some(gpu),
         Err(error) => {
             assert!(std::env::var("REQUIRE_GPU").is_err(), "{error}");
-            // Past the capture of passing tests: a skip is to be seen.
+            // Bypasses the capture of passing tests, so that a skip is visible.
             let _ = writeln!(std::io::stderr(), "skipped: {error}");
             None
         }
     }
 }
 
-/// Random numbers that are the same at every run.
+/// Random numbers that are the same in every run.
 pub struct Random(Pcg64Mcg);
 
 impl Random {
@@ -32,7 +32,7 @@ impl Random {
         Self(Pcg64Mcg::seed_from_u64(seed))
     }
 
-    /// Evenly within `±size`.
+    /// Uniform within `±size`.
     pub fn within(&mut self, size: f32) -> f32 {
         self.0.random_range(-size..size)
     }
@@ -54,8 +54,8 @@ pub fn packed<Role>(columns: &Columns<Role>) -> Vec<f32> {
     all
 }
 
-/// The base layout with three columns that nothing draws: `wetness[2]`, which is quantised; `age[1]`, which neither varies
-/// nor is quantised; `glow[5]`, quantised.
+/// The base layout with three columns that nothing draws: `wetness[2]`, which is quantised; `age[1]`, which neither
+/// varies nor is quantised; `glow[5]`, quantised.
 pub fn further_layout() -> Arc<Layout> {
     let mut layout = Layout::default();
     layout.push("wetness", 2, Column::like(Attribute::Color));
@@ -64,7 +64,7 @@ pub fn further_layout() -> Arc<Layout> {
     Arc::new(layout)
 }
 
-/// `‖found − expected‖ / ‖expected‖`; the numerator alone where nothing is expected.
+/// `‖found − expected‖ / ‖expected‖`; the numerator alone if nothing is expected.
 pub fn relative_l2(found: &[f32], expected: &[f32]) -> f64 {
     assert_eq!(found.len(), expected.len());
     let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|x| x * x).sum::<f64>().sqrt();

@@ -46,7 +46,7 @@ fn images_and_cameras(local: u32) {
         let kind = i / num;
         let rates = step.adam[ADAM_GAINS + kind].xy;
         var v = 0.0;
-        // Where a part of the image is drawn, cameras keep their colours.
+        // If a part of the image is drawn, cameras keep their colours.
         if (i % num / 3u == step.camera && !has(LISTED)) {
             v = select(v_gain, v_offset, kind == 1u)[i % 3u];
         }

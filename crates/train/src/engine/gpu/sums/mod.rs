@@ -1,7 +1,7 @@
-//! What follows from sums over an iteration: values of all losses, and Adam of cameras and quantizers.
+//! The last sums of an iteration: values of all losses, and Adam of cameras and quantizers.
 //!
-//! A workgroup for each sum that depends on no other, all in one dispatch. What it moves is small (some
-//! hundred kilobytes of partial sums); its time is that of a few rounds trip to memory in a row.
+//! One workgroup per independent sum, all in one dispatch. It moves little (some hundred kilobytes of partial sums);
+//! its time is a few round trips to memory, one after another.
 
 use tcgs_render::gpu::raw::Bound;
 use tcgs_render::gpu::{Gpu, GpuError};
@@ -9,10 +9,10 @@ use tcgs_render::gpu::{Gpu, GpuError};
 use super::image_loss::constants;
 use crate::engine::device::{Packing, source};
 
-/// Workgroups beside those of the quantizers.
+/// Number of workgroups that do not belong to quantizers.
 const SUMS: usize = 3;
 
-/// What the sums read and write. Arrays of rows have room for one at least, also where there is none.
+/// Buffers of the sums. Arrays of rows have room for at least one, even if there is none.
 #[derive(Clone, Copy, Debug)]
 pub struct SumsBuffers<'a> {
     /// [`super::StepUniform`]
@@ -40,8 +40,8 @@ pub struct SumsBuffers<'a> {
     pub status: &'a wgpu::Buffer,
 }
 
-/// Sums of all partial sums of an iteration, and Adam of what they are gradients of, in one dispatch: a workgroup a
-/// subject (images with the cameras' colours, masks, motion) and one a quantizer.
+/// Sums up all partial sums of an iteration and applies Adam to cameras and quantizers, in one dispatch. Images with
+/// the cameras' colours, masks, and motion have one workgroup each, and so has every quantizer.
 #[derive(Clone, Debug)]
 pub struct SumsKernel {
     sums: Bound,

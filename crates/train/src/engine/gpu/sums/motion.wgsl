@@ -7,7 +7,7 @@ fn prior_row(half: u32, i: u32, end: u32) -> vec4<f32> {
     return vec4(0.0);
 }
 
-// A mean over `count`, or 0 if the loss is off or about nothing.
+// A mean over `count`, or 0 if the loss is off or has no members.
 fn mean(sum: f32, count: u32, is_on: bool) -> f32 {
     return select(0.0, sum / f32(max(count, 1u)), is_on && count > 0u);
 }

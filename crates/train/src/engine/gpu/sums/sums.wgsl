@@ -1,18 +1,19 @@
 
-// What follows from sums over an iteration: the values of its losses, and Adam of cameras and quantizers.
+// The last sums of an iteration: the values of its losses, and Adam of cameras and quantizers.
 //
-// image_partials [C, blocks]: sums of 1 - SSIM, |x - y|, v_gain, v_offset
-// mask_partials [groups]: sums of sigmoid(mask logit), |mask logit - previous one|
-// prior_partials [rows, 2]: raw sums rigid, rot, iso, floor; background, soft_color, stillness, 0
-// quantizer_partials [rows]: sums of v_step, v_offset; quantizer_rows [Q + 1]: first row of each quantizer, and the end
-// quantizers [Q]: step, offset, lowest code, highest code
-// quantizer_state [6, Q]: initial steps, gradient scales, moments (step first, second, offset first, second)
-// cameras [3, 2, K, 3]: values, first, second moments; each gains, then offsets
-// losses [slots, LOSS_VALUES]: value of loss X at LOSS_X; LOSS_STATUS: whether the iteration is to be repeated; 0 ...
+// - image_partials [C, blocks]: sums of 1 - SSIM, |x - y|, v_gain, v_offset
+// - mask_partials [groups]: sums of sigmoid(mask logit), |mask logit - previous one|
+// - prior_partials [rows, 2]: raw sums rigid, rot, iso, floor; background, soft_color, stillness, 0
+// - quantizer_partials [rows]: sums of v_step, v_offset
+// - quantizer_rows [Q + 1]: first row of each quantizer, and the end
+// - quantizers [Q]: step, offset, lowest code, highest code
+// - quantizer_state [6, Q]: initial steps, gradient scales, moments (step first, second, offset first, second)
+// - cameras [3, 2, K, 3]: values, first, second moments; each gains, then offsets
+// - losses [slots, LOSS_VALUES]: value of loss X at LOSS_X; LOSS_STATUS: whether to repeat the iteration; 0 ...
 //
-// Workgroup 0: image losses and cameras. 1: masks. 2: motion. 3 + q: quantizer q. Each is a file of its own; one dispatch
-// runs all, since none depends on another. Every sum has one order: functions X_row give rows of partial sums, 0 beyond
-// the end, and loops take four rows at once, so that four reads are under way.
+// Workgroup 0: image losses and cameras. 1: masks. 2: motion. 3 + q: quantizer q. Each is in a file of its own; one
+// dispatch runs all, since none depends on another. Every sum has a fixed order. Functions X_row give rows of partial
+// sums, 0 beyond the end. Loops take four rows at once, so that four reads are under way.
 
 @group(0) @binding(0) var<uniform> step: Step;
 @group(0) @binding(1) var<storage, read> image_partials: array<vec4<f32>>;
