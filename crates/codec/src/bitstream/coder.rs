@@ -91,7 +91,7 @@ pub(super) trait Coder {
     fn symbol(&mut self, model: &mut SymbolModel, symbol: u32) -> u32;
     /// Codes `count` bits, at most 15, without a model.
     fn bits(&mut self, count: u32, value: u32) -> u32;
-    /// Whether the decoder has run out of bytes; all symbols returned since then are meaningless.
+    /// Whether the decoder has run out of bytes; further symbols are meaningless.
     fn exhausted(&self) -> bool;
 }
 
