@@ -29,7 +29,7 @@ struct Stopped(String);
 
 /// An error with exit code 130.
 ///
-/// - `left`: what is left on the disk, and how to continue
+/// - `left`: what is left, and how to continue
 pub fn stopped(left: String) -> anyhow::Error {
     Stopped(left).into()
 }

@@ -31,7 +31,7 @@ pub fn catch() -> anyhow::Result<()> {
     #[cfg(unix)]
     let is_detached = unix::prepare();
     let handler = || {
-        // A thread that waits for a hanging child could not end it.
+        // The children end here: a thread that waits for a hanging child could not end.
         tcgs_capture::end_programs();
         #[cfg(unix)]
         unix::terminate(STEP.load(Ordering::SeqCst));

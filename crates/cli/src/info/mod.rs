@@ -150,12 +150,12 @@ fn tell_loss<R>(arguments: &Arguments, file: &SceneFile<R>) {
     }
 }
 
-/// Whether all statements of the file about its scene agree.
+/// Whether the sections do not contradict the description of the scene: all of them decode, or none was read.
 fn is_known(info: &FileInfo) -> bool {
     info.contents.is_some() || info.sections.iter().all(|section| section.is_whole && section.checksum_ok.is_none())
 }
 
-/// Whether the cohorts agree on antialiasing.
+/// Whether the scene is antialiased; all cohorts are, or none is.
 fn is_antialiased(info: &FileInfo) -> bool {
     info.cohorts.first().is_some_and(|cohort| cohort.layout.is_antialiased())
 }

@@ -27,10 +27,10 @@ const PATH_SIZE: [usize; 2] = [640, 360];
 
 /// Render pictures or a video of a scene
 ///
-/// Along a path the camera moves with every frame. Orbit is a ring around the moving objects, spiral an arc that goes
-/// back and forth; both stay among the capture's cameras if the scene stores any. The pictures are DIR/FRAME.png; with
-/// --cameras they are DIR/CAMERA/FRAME.png, and a video shows one camera after the other. Videos need the program
-/// ffmpeg; an odd size loses a row or a column there.
+/// Along a path the camera moves with every frame. Orbit and spiral lead around the moving objects, among the capture's
+/// cameras if the scene stores any: all the way round if these form a ring, else along an arc and back. The pictures
+/// are DIR/FRAME.png; with --cameras they are DIR/CAMERA/FRAME.png, and a video shows one camera after the other.
+/// Videos need the program ffmpeg; an odd size loses a row or a column there.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:
