@@ -1,4 +1,4 @@
-//! Puts into the program the commit that it is built from, for results that name what made them.
+//! Embeds the commit of the build in the program, so that results can name their producer.
 
 use std::fs;
 use std::path::Path;
@@ -11,7 +11,7 @@ fn main() {
 fn name_commit() {
     let commit = git(&["describe", "--always", "--dirty", "--abbrev=10"]).unwrap_or_else(|| "unknown".into());
     println!("cargo::rustc-env=TCGS_COMMIT={commit}");
-    // Whether anything changed since the commit is asked again where sources did, or the commit.
+    // Runs again when sources or the commit change, so that the `--dirty` mark stays current.
     for entry in fs::read_dir("..").into_iter().flatten().flatten() {
         let sources = entry.path().join("src");
         if sources.is_dir() {

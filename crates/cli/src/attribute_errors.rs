@@ -1,4 +1,4 @@
-//! Largest errors of attributes: how they are asked for, and how they are said.
+//! Largest errors of attributes: parsing the bounds a user asks for, and printing the errors.
 
 use std::str::FromStr;
 
@@ -6,7 +6,7 @@ use serde_json::{Map, Value, json};
 
 use crate::terminal::say;
 
-/// Of each of the five base attributes its name in files, what people call it, and the unit of its error.
+/// Each of the five base attributes: its name in files, its name in the interface, and the unit of its error.
 const WORDS: [(&str, &str, &str); 5] = [
     ("means", "mean", "scene units"),
     ("quats", "rotation", "radians"),
@@ -15,22 +15,22 @@ const WORDS: [(&str, &str, &str); 5] = [
     ("colors", "color", "of 1"),
 ];
 
-/// What people call an attribute, by its name in files.
+/// The interface's name of an attribute, from its name in files.
 pub fn word(name: &str) -> &str {
     WORDS.iter().find(|(of, ..)| *of == name).map_or(name, |(_, word, _)| word)
 }
 
-/// Unit of its error.
+/// Unit of an attribute's error.
 pub fn unit(name: &str) -> &'static str {
     WORDS.iter().find(|(of, ..)| *of == name).map_or("of the stored value", |(.., unit)| unit)
 }
 
-/// Such as `1.234e-3`, the same width for all.
+/// Formats an error in a fixed width, such as `1.234e-3`.
 pub fn show(error: f64) -> String {
     if error == 0.0 { "0".into() } else { format!("{error:.3e}") }
 }
 
-/// Bounds on errors: `mean=0.001,rotation=0.01`, by the names in files.
+/// Bounds on errors, such as `mean=0.001,rotation=0.01`; stored under the names in files.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bounds(pub Vec<(String, f64)>);
 
@@ -56,7 +56,7 @@ impl FromStr for Bounds {
     }
 }
 
-/// Prints what a file declares; nothing if it does not.
+/// Prints the errors that a file declares; prints nothing if it declares none.
 pub fn print(declared: &[(String, f32)]) -> anyhow::Result<()> {
     if !declared.is_empty() {
         say("attribute        largest error")?;
@@ -66,7 +66,7 @@ pub fn print(declared: &[(String, f32)]) -> anyhow::Result<()> {
     })
 }
 
-/// For machines, by the names in files.
+/// The errors as JSON, under the names in files.
 pub fn machine_readable<E: Copy + Into<f64>>(errors: &[(String, E)]) -> Value {
     errors.iter().map(|(name, error)| (name.clone(), json!((*error).into()))).collect::<Map<_, _>>().into()
 }

@@ -1,4 +1,4 @@
-//! What computes: the CPU or a GPU, as `--backend` and `--device` say.
+//! The choice of backend, CPU or GPU, by `--backend` and `--device`.
 
 use anyhow::anyhow;
 use clap::{Args, ValueEnum};
@@ -8,18 +8,18 @@ use tcgs_render::device::GpuError;
 use crate::error::wrong_input;
 use crate::terminal::note;
 
-/// What every command takes that trains or renders.
+/// Options of every command that trains or renders.
 #[derive(Args, Debug)]
 pub struct BackendOptions {
-    /// What computes [default: auto; with --device: gpu]
+    /// Compute on the CPU or a GPU [default: auto; with --device: gpu]
     #[arg(long)]
     backend: Option<BackendName>,
-    /// GPU to compute on, by a part of its name; software that acts as one is used only so
+    /// GPU to compute on, by a part of its name; the only way to use a software GPU
     #[arg(long, value_name = "NAME")]
     device: Option<String>,
 }
 
-/// As on the command line.
+/// Values of `--backend`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum BackendName {
     /// The GPU if there is one, else the CPU
@@ -31,17 +31,16 @@ pub enum BackendName {
 }
 
 impl BackendOptions {
-    /// The same for another command.
+    /// The same options as arguments for another command.
     pub fn arguments(&self) -> Vec<String> {
         let backend = self.backend.and_then(|backend| Some(backend.to_possible_value()?.get_name().to_owned()));
         let options = [("--backend", backend), ("--device", self.device.clone())];
         options.into_iter().filter_map(|(name, value)| Some([name.to_owned(), value?])).flatten().collect()
     }
 
-    /// Finds what is asked for, and says on standard error what it is. To be called once the number of
-    /// threads is set.
+    /// Opens the requested backend and prints its name on standard error. Call it after setting the number of threads.
     ///
-    /// - `default`: where the command line says nothing
+    /// - `default`: used where the command line names no backend
     pub fn open(&self, default: BackendName) -> anyhow::Result<Backend> {
         if let Some(device) = &self.device {
             if self.backend == Some(BackendName::Cpu) {
@@ -76,8 +75,8 @@ fn on_cpu(why: &str) -> Backend {
 }
 
 /// Lets the C library keep up to 1 GiB of freed memory for the next allocation. Every iteration on the CPU allocates
-/// and frees about 100 MB; given back to the system each time, they cost 30,000 page faults, a fifth of an iteration.
-/// Only glibc gives memory back so soon.
+/// and frees about 100 MB. Returning them to the system each time costs 30,000 page faults, a fifth of an iteration.
+/// Only glibc returns memory so soon.
 fn keep_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {
@@ -88,8 +87,8 @@ fn keep_freed_memory() {
         unsafe extern "C" {
             fn mallopt(parameter: c_int, value: c_int) -> c_int;
         }
-        // SAFETY: mallopt takes the allocator's lock, and both values are legal; where it refuses one, memory is given
-        // back as before.
+        // SAFETY: mallopt takes the allocator's lock, and both values are legal. If it refuses one, glibc keeps its
+        // default.
         #[allow(unsafe_code)]
         unsafe {
             mallopt(M_TRIM_THRESHOLD, 1 << 30);

@@ -1,4 +1,4 @@
-//! Which exit code an error has, and its words; `main` prints them.
+//! Exit codes and messages of errors; `main` prints the messages.
 
 use tcgs_capture::{CaptureError, RawFootage, Split};
 use tcgs_codec::{CompressError, DecodeError};
@@ -11,30 +11,30 @@ use tcgs_train::TrainError;
 
 use crate::{attribute_errors, interrupt, next};
 
-/// Wrong usage or input, as against a computer that fails: one line that names the culprit, what was
-/// found and what was expected.
+/// Wrong usage or input, in contrast to a failing computer. The message is one line with the culprit, what was found
+/// and what was expected.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 struct WrongInput(String);
 
-/// An error for which the exit code is 2.
+/// An error with exit code 2.
 pub fn wrong_input(message: impl Into<String>) -> anyhow::Error {
     WrongInput(message.into()).into()
 }
 
-/// Ctrl-C ended a command that can tell what is left.
+/// Ctrl-C ended a command that can report what is left.
 #[derive(Debug, thiserror::Error)]
 #[error("stopped: {0}")]
 struct Stopped(String);
 
-/// An error for which the exit code is 130.
+/// An error with exit code 130.
 ///
-/// - `left`: what there is, and how to go on
+/// - `left`: what is left, and how to continue
 pub fn stopped(left: String) -> anyhow::Error {
     Stopped(left).into()
 }
 
-/// The message of an error, which names options where the library names arguments.
+/// The message of an error. It names options where the library names arguments.
 pub fn message(error: &anyhow::Error) -> String {
     let of_capture = error.downcast_ref::<CaptureError>().or_else(|| match error.downcast_ref::<PipelineError>() {
         Some(PipelineError::Capture(error)) => Some(error),
@@ -97,7 +97,7 @@ pub fn message(error: &anyhow::Error) -> String {
     }
 }
 
-/// Whether a column is that of spherical harmonics.
+/// Whether a column holds spherical harmonics.
 fn is_harmonics(column: &str) -> bool {
     let layout = Layout::with_harmonics(MAX_SH_DEGREE);
     layout.find(column).is_some_and(|attribute| layout.harmonics().contains(&attribute))

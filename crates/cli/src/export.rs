@@ -39,7 +39,8 @@ pub struct Arguments {
     scene: PathBuf,
     #[command(flatten)]
     reading: SceneOptions,
-    /// File or folder to write; its ending says what: .npz, .4dgs, .f32, .ply or .glb for one timestep, none for a folder of these
+    /// File or folder to write. The ending selects the format: .npz, .4dgs or .f32 for all timesteps, .ply or .glb for
+    /// one, none for a folder of these
     #[arg(long, value_name = "FILE|DIR")]
     to: PathBuf,
     /// Which files a folder gets
@@ -52,7 +53,7 @@ pub struct Arguments {
     job: JobOptions,
 }
 
-/// Kinds of files in a folder.
+/// Formats of the files in a folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Files {
     /// PLY of 3D Gaussian splatting
@@ -61,7 +62,7 @@ enum Files {
     Glb,
 }
 
-/// What is written.
+/// Format of the output.
 enum Target {
     ParamsNpz,
     Timestep(TimestepKind),
@@ -145,7 +146,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.write_json(&json!({ "out": to.display().to_string(), "bytes": bytes }))
 }
 
-/// By the ending. Refuses early what could not be written at the end.
+/// Selects the format by the ending. Refuses before the work what could not be written after it.
 fn target(arguments: &Arguments) -> anyhow::Result<Target> {
     let (to, job, scene) = (&arguments.to, &arguments.job, arguments.scene.as_path());
     let file = |target| job.begin(&[to], &[scene]).map(|()| target);

@@ -1,5 +1,6 @@
 //! Signals: Ctrl-C (SIGINT), SIGTERM, which ends services and batch jobs, and SIGHUP of a terminal that closes.
-//! A signal ends the process at once and removes unfinished files. A command that has to end its step first calls
+//!
+//! A signal ends the process at once and removes unfinished files. A command that has to finish its step first calls
 //! [`politely`]; a second signal then ends the process at once.
 
 use std::io;
@@ -13,24 +14,24 @@ use tcgs_interchange::remove_held;
 
 use crate::terminal::note;
 
-/// As a shell reports a process that SIGINT ended: 128 + 2.
+/// The exit code that shells report for SIGINT: 128 + 2.
 pub const EXIT_CODE: u8 = 130;
 
 static ASKED: AtomicBool = AtomicBool::new(false);
 /// Whether the command checks for signals between its steps.
 static IS_POLITE: AtomicBool = AtomicBool::new(false);
-/// Held while finished content is moved to its place.
+/// Locked while finished content is moved to its place.
 static MOVING: Mutex<()> = Mutex::new(());
 
-/// A process to which signals are passed on; 0 if there is none.
+/// Process id of the child that signals are passed on to; 0 if there is none.
 static STEP: AtomicU32 = AtomicU32::new(0);
 
-/// Catches signals from now on.
+/// Catches signals from this call on.
 pub fn catch() -> anyhow::Result<()> {
     #[cfg(unix)]
     let is_detached = unix::prepare();
     let handler = || {
-        // A thread that waits for a hanging program could not end.
+        // The children end here: a thread that waits for a hanging child could not end.
         tcgs_capture::end_programs();
         #[cfg(unix)]
         unix::terminate(STEP.load(Ordering::SeqCst));
@@ -47,7 +48,7 @@ pub fn catch() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Ends the process and removes what is unfinished.
+/// Removes unfinished files and ends the process.
 fn end() -> ! {
     let _moved = moving();
     remove_held();
@@ -63,7 +64,7 @@ pub fn politely<T>(work: impl FnOnce() -> T) -> T {
     done
 }
 
-/// Runs this program once more, to its end, and passes signals on to it.
+/// Runs a child to its end and passes signals on to it.
 ///
 /// # Errors
 /// The errors of starting a process; [`io::ErrorKind::Interrupted`] after a signal.
@@ -71,7 +72,7 @@ pub fn run(step: &mut Command) -> io::Result<ExitStatus> {
     if asked().is_break() {
         return Err(io::ErrorKind::Interrupted.into());
     }
-    // Ctrl-C in a terminal must reach only this process: it passes the signal on, so the other gets it once.
+    // A process group of its own: Ctrl-C in a terminal then reaches only this process, which passes it on once.
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(step, 0);
     let mut child = step.spawn()?;
@@ -81,22 +82,22 @@ pub fn run(step: &mut Command) -> io::Result<ExitStatus> {
     status
 }
 
-/// Sets the process that signals end together with this one, until the next call.
+/// Sets the child that signals are passed on to, until the next call.
 pub fn pass_on_to(child: Option<&Child>) {
     STEP.store(child.map_or(0, Child::id), Ordering::SeqCst);
 }
 
-/// No signal ends the process as long as the guard lives. Held while finished content is moved to its place.
+/// A guard that keeps signals from ending the process, taken while finished content is moved to its place.
 pub fn moving() -> MutexGuard<'static, ()> {
     MOVING.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// An error after a signal.
+/// Returns an error if a signal has arrived.
 pub fn check() -> anyhow::Result<()> {
     if asked().is_break() { Err(tcgs_pipeline::PipelineError::Stopped.into()) } else { Ok(()) }
 }
 
-/// Whether to go on.
+/// Whether to continue: `Break` after a signal.
 pub fn asked() -> ControlFlow<()> {
     if ASKED.load(Ordering::SeqCst) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
 }

@@ -1,7 +1,7 @@
-//! The `tcgs` command: one file or folder a command, each of which parses, calls and prints.
+//! The `tcgs` command: one file or folder per subcommand, each of which parses, calls and prints.
 //!
-//! What lives here: arguments, progress, messages, files that appear whole. What does not: the method.
-//! An error is printed once, below, as one line.
+//! What lives here: arguments, progress, messages, files that appear whole. What does not: the method. `main` prints an
+//! error once, as one line.
 
 mod attribute_errors;
 mod backend;
@@ -76,7 +76,7 @@ fn main() -> ExitCode {
     match interrupt::catch().and_then(|()| run(arguments.command)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // The signal may also have ended a child process, and its end is an error here.
+            // A child process may have ended by the same signal, and its end is reported as an error here.
             let was_stopped = interrupt::asked().is_break() && error::exit_code(&error) != interrupt::EXIT_CODE;
             let error = if was_stopped { error::stopped(error::message(&error)) } else { error };
             terminal::note(&format!("tcgs: {}", one_line(&output::by_final_names(error::message(&error)))));
@@ -102,8 +102,8 @@ fn run(command: Command) -> anyhow::Result<()> {
     }
 }
 
-/// Without a desktop session Mesa's Vulkan layer that sorts devices complains on standard error, and there is nothing
-/// for it to sort by; devices are sorted here anyway.
+/// Disables Mesa's Vulkan layer for device selection. Without a desktop session the layer complains on standard error
+/// and has no criterion to sort by; this program sorts the devices itself.
 fn quiet_device_layer() {
     if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
         // SAFETY: no other thread runs yet.
@@ -114,11 +114,11 @@ fn quiet_device_layer() {
     }
 }
 
-/// Help and version as they are; a complaint about the command line as one line.
+/// Prints help and version unchanged, and a complaint about the command line as one line.
 fn explain(error: &clap::Error) -> ExitCode {
     match error.kind() {
         ErrorKind::DisplayHelp | ErrorKind::DisplayVersion | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
-            // Nobody is left to tell that nobody reads.
+            // A failed write means that the reader has gone; there is no other place to report it.
             let _ = error.print();
         }
         _ => {

@@ -1,5 +1,4 @@
-//! The command that comes next, printed so that a shell runs the line as it stands: paths are quoted, and what it writes is
-//! not there yet.
+//! Suggests the next command as a line that a shell can run. Paths are quoted, and suggested outputs do not exist yet.
 
 use std::path::{Path, PathBuf};
 
@@ -8,12 +7,12 @@ use tcgs_train::{Run, TrainConfig};
 
 use crate::terminal::say;
 
-/// The command that makes a capture of a folder of videos.
+/// The command that turns a folder of videos into a capture.
 pub fn prepare(videos: &Path) -> String {
     format!("tcgs prepare {} --out {}", quoted(videos), quoted(&beside(videos, "capture")))
 }
 
-/// Says how to train a capture.
+/// Prints the command that trains a capture.
 ///
 /// - `points`: a file of points, instead of the capture's own
 pub fn train(capture: &Path, points: Option<&Path>) -> anyhow::Result<()> {
@@ -22,9 +21,9 @@ pub fn train(capture: &Path, points: Option<&Path>) -> anyhow::Result<()> {
     say(&format!("next: tcgs train {}{points} --out {}", quoted(capture), quoted(&run)))
 }
 
-/// Says how to compress a run, and how to measure the file.
+/// Prints the commands that compress a run and measure the file.
 ///
-/// - `place`: of the capture
+/// - `place`: path of the capture
 /// - `capture`: as it was trained on
 pub fn compress(run: &Run, place: &Path, capture: &Capture) -> anyhow::Result<()> {
     let default = run.folder().join("scene.tcgs");
@@ -39,7 +38,8 @@ pub fn compress(run: &Run, place: &Path, capture: &Capture) -> anyhow::Result<()
     ))
 }
 
-/// The value of `--cameras` that measures what a run held out; `train` where that is nothing. `None` if it is the default.
+/// The value of `--cameras` that selects a run's held-out cameras: `None` if the default does, `train` if none are held
+/// out.
 fn judges(config: &TrainConfig, capture: &Capture) -> anyhow::Result<Option<String>> {
     let held_out = capture.camera_names(Split::Test, config.data.first_frame)?;
     Ok(match (held_out.is_empty(), config.data.hold_out.is_empty()) {
@@ -49,13 +49,13 @@ fn judges(config: &TrainConfig, capture: &Capture) -> anyhow::Result<Option<Stri
     })
 }
 
-/// A path that does not exist, called after a folder and what it is to hold.
+/// A path that does not exist, named after a folder and its planned content.
 fn beside(folder: &Path, what: &str) -> PathBuf {
     let name = folder.file_name().map_or(what.into(), |name| format!("{}_{what}", name.to_string_lossy()));
     free(&folder.with_file_name(name))
 }
 
-/// A path that does not exist: the given one, or the same with a number behind its name.
+/// A path that does not exist: the given one, or the same with a number appended to its stem.
 fn free(path: &Path) -> PathBuf {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let ending = path.extension().map_or(String::new(), |ending| format!(".{}", ending.to_string_lossy()));
@@ -64,13 +64,13 @@ fn free(path: &Path) -> PathBuf {
     names.find(|name| name.symlink_metadata().is_err()).unwrap_or_else(|| path.into())
 }
 
-/// A path as one word of a POSIX shell that is no option.
+/// Quotes a path as one word of a POSIX shell that is not read as an option.
 pub fn quoted(path: &Path) -> String {
     let text = path.display().to_string();
     word(&if text.starts_with('-') { format!("./{text}") } else { text })
 }
 
-/// A text as one word of a POSIX shell.
+/// Quotes a text as one word of a POSIX shell.
 pub fn word(text: &str) -> String {
     let is_plain = |c: char| c.is_alphanumeric() || "/._-+,:=@%".contains(c) || cfg!(windows) && c == '\\';
     if !text.is_empty() && text.chars().all(is_plain) {

@@ -18,7 +18,7 @@ use crate::output;
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Every command")]
 pub struct JobOptions {
-    /// Also write the result to this file, for machines
+    /// Also write the result to this file, as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
     /// Replace outputs that exist
@@ -35,8 +35,8 @@ pub struct JobOptions {
 impl JobOptions {
     /// Sets the number of threads and checks the outputs ([`output::check_files`]).
     ///
-    /// - `files`: files to be written besides that of `--json`
-    /// - `sources`: files and folders that are read
+    /// - `files`: files to write besides that of `--json`
+    /// - `sources`: files and folders that the command reads
     pub fn begin(&self, files: &[&Path], sources: &[&Path]) -> anyhow::Result<()> {
         let threads = rayon::ThreadPoolBuilder::new().num_threads(self.threads.unwrap_or(0));
         threads.build_global().context("starting threads")?;
@@ -44,13 +44,13 @@ impl JobOptions {
         output::check_files(&files, sources, self.force)
     }
 
-    /// Writes the result for machines, if wanted.
+    /// Writes the result as JSON if `--json` asks for it.
     pub fn write_json(&self, value: &serde_json::Value) -> anyhow::Result<()> {
         self.json.as_ref().map_or(Ok(()), |path| output::write_json(path, value, self.force))
     }
 }
 
-/// Most threads: more than any machine has processors.
+/// Largest number of threads: more than any machine has processors.
 const MAX_THREADS: usize = 1024;
 
 /// A whole number from 1 to `MOST`.
@@ -104,7 +104,7 @@ pub enum Refining {
     For(RefineBudget),
 }
 
-/// `off`, a time with a unit, or a number of iterations.
+/// Parses `off`, a time with a unit, or a number of iterations.
 pub fn refining(text: &str) -> Result<Refining, String> {
     if text == "off" { Ok(Refining::Off) } else { refine_budget(text).map(Refining::For) }
 }
@@ -143,7 +143,7 @@ impl FromStr for Frames {
     }
 }
 
-/// Two values with a comma between.
+/// Two values, separated by a comma.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pair<T>(pub T, pub T);
 
@@ -153,14 +153,14 @@ pub fn iterations(text: &str) -> Result<Pair<usize>, String> {
     pair.ok_or_else(|| "expected FIRST,REST, such as 2000,300".into())
 }
 
-/// Fewest and most bits.
+/// Least and largest bit width.
 pub fn bits(text: &str) -> Result<Pair<u8>, String> {
     let pair = text.split_once(',').and_then(|(a, b)| Some(Pair(a.parse().ok()?, b.parse().ok()?)));
     pair.filter(|&Pair(min, max)| 1 <= min && min <= max && max <= tcgs_codec::MAX_BITS)
         .ok_or_else(|| "expected MIN,MAX with 1 <= MIN <= MAX <= 16, such as 4,8".into())
 }
 
-/// Pixels `WxH`.
+/// Size of an image, `WxH` pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Size {
     /// Pixels in a row.
@@ -170,7 +170,7 @@ pub struct Size {
 }
 
 impl Size {
-    /// Whether it is an image's. Larger ones are a slip of the keyboard.
+    /// Whether an image may have this size. A larger one is taken for a typing error.
     pub fn is_legal(self) -> bool {
         let is_side = |side: &usize| (1..=16384).contains(side);
         [self.width, self.height].iter().all(is_side) && self.width * self.height <= MAX_PIXELS
@@ -192,16 +192,16 @@ impl FromStr for Size {
 /// Cameras of a capture.
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Cameras {
-    /// Those held out from training
+    /// Cameras held out from training
     Test,
-    /// Those trained on
+    /// Cameras trained on
     Train,
     /// Both
     All,
 }
 
 impl Cameras {
-    /// The same for a capture.
+    /// The corresponding split of a capture.
     pub fn split(self) -> Split {
         match self {
             Self::Test => Split::Test,
@@ -232,7 +232,7 @@ impl FromStr for CameraChoice {
 }
 
 impl CameraChoice {
-    /// The capture whose split these cameras are, and the split.
+    /// The split that holds these cameras, and the capture with that split.
     ///
     /// # Errors
     /// [`CaptureError::Invalid`] if no camera has one of the names.

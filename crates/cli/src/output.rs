@@ -1,4 +1,4 @@
-//! Outputs of commands: written whole or not at all, and over existing content only with `--force`.
+//! Outputs of commands. An output is written whole or not at all, and replaces existing content only with `--force`.
 
 use std::ffi::OsStr;
 use std::fs::{self, File};
@@ -16,14 +16,14 @@ use crate::error::wrong_input;
 use crate::interrupt;
 use crate::terminal::note;
 
-/// How long nothing has changed in what a killed process left, before it is removed. A day is more than a person needs
-/// to look at it.
+/// Age, since its last change, at which a killed process's unfinished output is removed. A day gives a person enough
+/// time to look at it.
 const ABANDONED: Duration = Duration::from_secs(24 * 3600);
 
-/// Endings of files that commands write, and never read as a part of a folder.
+/// Endings of files that commands write but never read as a part of a folder.
 const RESULTS: [&str; 3] = ["csv", "html", "tcgs"];
 
-/// Refuses, before the work, files that could not be written after it or would replace what is read.
+/// Refuses, before the work, output files that cannot be written or that would replace an input.
 ///
 /// - `sources`: files and folders that the command reads
 /// - `force`: whether existing files are replaced
@@ -38,7 +38,7 @@ pub fn check_files(files: &[&Path], sources: &[&Path], force: bool) -> anyhow::R
             return Err(wrong_input(format!("{}: {problem}", file.display())));
         }
         if !is_device(file) {
-            // If a temporary folder cannot be made here, a result cannot be written.
+            // A test: without a temporary folder here, the result could not be written.
             let file = file.canonicalize().unwrap_or_else(|_| file.to_path_buf());
             begin_beside(&file).with_context(|| format!("writing {}", file.display()))?;
         }
@@ -46,7 +46,7 @@ pub fn check_files(files: &[&Path], sources: &[&Path], force: bool) -> anyhow::R
     Ok(())
 }
 
-/// Refuses a folder to be written that is a source or holds one.
+/// Refuses an output folder that is a source or contains one.
 pub fn check_folder(folder: &Path, sources: &[&Path]) -> anyhow::Result<()> {
     let place = resolved(folder);
     match sources.iter().find(|source| resolved(source).starts_with(&place)) {
@@ -55,7 +55,7 @@ pub fn check_folder(folder: &Path, sources: &[&Path]) -> anyhow::Result<()> {
     }
 }
 
-/// An output that would destroy a source.
+/// The error of an output that would destroy a source.
 fn is_read(output: &Path, source: &Path, expected: &str) -> anyhow::Error {
     let (output, source, [o, s]) = (output.display(), source.display(), [output, source].map(resolved));
     wrong_input(match (s.starts_with(&o), o.starts_with(&s)) {
@@ -65,7 +65,7 @@ fn is_read(output: &Path, source: &Path, expected: &str) -> anyhow::Error {
     })
 }
 
-/// Whether writing a file would change a source: the file itself, or one of a folder.
+/// Whether writing a file would change a source, which is the file itself or a folder that contains it.
 fn is_part_of(file: &Path, source: &Path) -> bool {
     if is_same(file, source) {
         return !is_device(file);
@@ -89,7 +89,7 @@ fn is_same(a: &Path, b: &Path) -> bool {
     resolved(a) == resolved(b)
 }
 
-/// An absolute path without links, also of what does not exist in a folder that does.
+/// An absolute path without links; the last component need not exist.
 fn resolved(path: &Path) -> PathBuf {
     let in_parent = || Some(parent(path).canonicalize().ok()?.join(path.file_name()?));
     path.canonicalize().ok().or_else(in_parent).unwrap_or_else(|| path.into())
@@ -99,7 +99,7 @@ fn is_device(path: &Path) -> bool {
     fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir())
 }
 
-/// Refuses what [`write_file`] cannot write.
+/// Refuses a path that [`write_file`] cannot write.
 fn check_file(path: &Path, force: bool) -> anyhow::Result<()> {
     let parent = parent(path);
     if !parent.is_dir() {
@@ -138,7 +138,7 @@ pub fn write_file(path: &Path, bytes: &[u8], force: bool) -> anyhow::Result<()> 
     write_file_with(path, force, |mut file| file.write_all(bytes))
 }
 
-/// [`write_file`] for what should not be in memory twice.
+/// [`write_file`] with a writer, for content that should not be in memory twice.
 pub fn write_file_with(path: &Path, force: bool, write: impl FnOnce(&File) -> io::Result<()>) -> anyhow::Result<()> {
     check_file(path, force)?;
     let context = || format!("writing {}", path.display());
@@ -146,7 +146,7 @@ pub fn write_file_with(path: &Path, force: bool, write: impl FnOnce(&File) -> io
         let device = fs::OpenOptions::new().write(true).open(path).with_context(context)?;
         return write(&device).with_context(context);
     }
-    // A link is kept; what it points to is replaced.
+    // A link stays; its target is replaced.
     let path = path.canonicalize().unwrap_or_else(|_| path.into());
     remove_unfinished(parent(&path), ABANDONED);
     let existing = if force { Existing::Replace } else { Existing::Keep };
@@ -156,10 +156,10 @@ pub fn write_file_with(path: &Path, force: bool, write: impl FnOnce(&File) -> io
     }
 }
 
-/// Temporary and final place of each [`NewFolder`].
+/// Temporary and final path of each [`NewFolder`].
 static MAKING: Mutex<Vec<[PathBuf; 2]>> = Mutex::new(Vec::new());
 
-/// Replaces temporary names in a message: a file in a [`NewFolder`] gets the name that it would have had.
+/// Replaces temporary paths in a message: a file in a [`NewFolder`] gets its final path.
 pub fn by_final_names(mut message: String) -> String {
     for [new, place] in MAKING.lock().unwrap_or_else(PoisonError::into_inner).iter() {
         message = message.replace(&new.display().to_string(), &place.display().to_string());
@@ -167,19 +167,21 @@ pub fn by_final_names(mut message: String) -> String {
     message
 }
 
-/// Begins a folder for unfinished content beside a place, and removes abandoned ones there.
+/// Begins a folder for unfinished content beside a path, and removes abandoned ones there.
 pub fn begin_beside(place: &Path) -> io::Result<Unfinished> {
     remove_unfinished(parent(place), ABANDONED);
     Unfinished::begin(parent(place))
 }
 
-/// Writes a result for machines.
+/// Writes a result as JSON.
 pub fn write_json(path: &Path, value: &Value, force: bool) -> anyhow::Result<()> {
     write_file(path, format!("{value:#}\n").as_bytes(), force)
 }
 
-/// A folder in the making, until [`NewFolder::finish`] puts it in its place: beside a place that does not exist yet, to be
-/// renamed; inside one that exists, which may be where a shell stands or a disk is mounted.
+/// A folder under construction, until [`NewFolder::finish`] puts it in its place.
+///
+/// A place that does not exist yet gets a temporary folder beside it, which is renamed. A place that exists gets one
+/// inside it: a shell may stand in the folder, or a disk may be mounted there.
 pub struct NewFolder {
     place: PathBuf,
     making: Unfinished,
@@ -190,8 +192,8 @@ pub struct NewFolder {
 impl NewFolder {
     /// Begins a folder.
     ///
-    /// - `force`: whether an existing folder is replaced, and only if all its files are called what
-    ///   `is_ours` knows: a slip must not cost a home directory
+    /// - `force`: whether an existing folder is replaced. Even then `is_ours` must know the names of all its files, so
+    ///   that a slip cannot cost a home directory
     pub fn begin(place: &Path, force: bool, is_ours: fn(&Path) -> bool) -> anyhow::Result<Self> {
         check_name(place)?;
         let inside = place.exists();
@@ -219,7 +221,7 @@ impl NewFolder {
             }
             begun => begun.with_context(context)?,
         };
-        // Another process may have finished it since the first look.
+        // Another process may have written the folder since the first check.
         if !inside && place.exists() || inside && !force && !is_empty_folder(place) {
             return Err(exists(place));
         }
@@ -229,7 +231,7 @@ impl NewFolder {
         Ok(Self { place: place.into(), making, new, inside })
     }
 
-    /// Where its files go meanwhile.
+    /// The temporary path of the folder's content.
     pub fn path(&self) -> &Path {
         &self.new
     }
@@ -239,19 +241,19 @@ impl NewFolder {
         self.making.path()
     }
 
-    /// Puts it in its place.
+    /// Moves the content to its place.
     pub fn finish(self) -> anyhow::Result<()> {
         self.finish_around(|_| false)
     }
 
-    /// Puts it in its place, where some entries stay. If moving fails, nothing is lost: the error says where the
-    /// content is.
+    /// Moves the content to its place, where some entries stay. If moving fails, nothing is lost: the error says where
+    /// the content is.
     ///
-    /// - `stays`: whether an old entry is left where it is, by its name; not asked if a new entry has the name
+    /// - `stays`: whether an old entry stays, by its name; not called if a new entry has the same name
     pub fn finish_around(self, stays: fn(&OsStr) -> bool) -> anyhow::Result<()> {
         let Self { place, making, new, inside } = self;
         let context = format!("writing {}", place.display());
-        // From here on the unfinished folder may hold the only copy of something: it is no longer one to be cleaned up.
+        // From here on the unfinished folder may hold the only copy of some content, so no process may clean it up.
         let _whole = interrupt::moving();
         MAKING.lock().unwrap_or_else(PoisonError::into_inner).retain(|[making, _]| *making != new);
         let making = making.keep();
@@ -271,8 +273,8 @@ impl NewFolder {
     }
 }
 
-/// Moves what is in `place` to `before`, and all of `new` to `place`. Unfinished folders stay, whoever's they are; `new`
-/// and `before` lie in one of them.
+/// Moves the entries of `place` to `before`, and all of `new` to `place`. Every process's unfinished folders stay;
+/// `new` and `before` lie in one of them.
 fn exchange(place: &Path, new: &Path, before: &Path, stays: fn(&OsStr) -> bool) -> io::Result<()> {
     fs::create_dir(before)?;
     for entry in fs::read_dir(place)?.collect::<io::Result<Vec<_>>>()? {
@@ -287,13 +289,13 @@ fn exchange(place: &Path, new: &Path, before: &Path, stays: fn(&OsStr) -> bool) 
     Ok(())
 }
 
-/// Whether a folder exists and has nothing in it but what a stopped process left.
+/// Whether a folder exists and is empty, apart from unfinished output of a stopped process.
 pub fn is_empty_folder(path: &Path) -> bool {
     let Ok(mut entries) = fs::read_dir(path) else { return false };
     entries.all(|entry| entry.is_ok_and(|entry| is_unfinished(&entry.file_name())))
 }
 
-/// A file below `folder` that is not ours; the folder itself if it is none.
+/// The first file below `folder` that is not ours; `folder` itself if it is not a folder.
 fn foreign_file(folder: &Path, is_ours: fn(&Path) -> bool) -> io::Result<Option<PathBuf>> {
     if !folder.is_dir() {
         return Ok(Some(folder.into()));
@@ -314,7 +316,7 @@ fn foreign_file(folder: &Path, is_ours: fn(&Path) -> bool) -> io::Result<Option<
     Ok(None)
 }
 
-/// Whether a file is named by a number and `ending`.
+/// Whether a file's name is a number followed by `ending`.
 pub fn is_numbered(path: &Path, ending: &str) -> bool {
     let name = path.file_name().and_then(OsStr::to_str).unwrap_or_default();
     name.strip_suffix(ending).is_some_and(|number| number.bytes().all(|byte| byte.is_ascii_digit()))
@@ -329,7 +331,7 @@ pub fn parent(path: &Path) -> &Path {
     path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// A size for people: three digits and a unit of powers of 1000.
+/// Formats a size with three digits and a unit in powers of 1000.
 pub fn show_bytes(bytes: u64) -> String {
     let mut value = bytes as f64;
     for unit in ["B", "kB", "MB", "GB"] {

@@ -1,4 +1,4 @@
-//! What several commands show of a capture: its description, and images inside a page.
+//! Parts of a capture that several commands show: its description, and images inside a page.
 
 use std::path::Path;
 
@@ -11,13 +11,13 @@ use tcgs_core::Image;
 
 const JPEG_QUALITY: u8 = 85;
 
-/// What `capture.toml` says, of a capture that has one.
+/// Reads `capture.toml` if the capture has one.
 pub fn description(path: &Path, capture: &Capture) -> anyhow::Result<Option<CaptureDescription>> {
     let is_described = capture.kind() == CaptureKind::DESCRIBED;
     Ok(is_described.then(|| CaptureDescription::read(&path.join(DESCRIPTION_FILE))).transpose()?)
 }
 
-/// An image as a JPEG inside an address.
+/// Encodes an image as a JPEG data URI.
 pub fn jpeg_uri(image: &Image) -> anyhow::Result<String> {
     let mut bytes = Vec::new();
     JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY)

@@ -1,4 +1,4 @@
-//! How far a long command is: a bar on a terminal, now and then a line elsewhere; on standard error.
+//! Progress of a long command on standard error: a bar on a terminal, occasional lines elsewhere.
 
 use std::time::{Duration, Instant};
 
@@ -7,27 +7,27 @@ use tcgs_core::printable;
 
 use crate::terminal::{note, say};
 
-/// Where there is no terminal, at most a line in this time.
+/// Least time between two lines where there is no terminal.
 const LINE_INTERVAL: Duration = Duration::from_secs(10);
 
-/// Work of fewer steps has long and short ones, which do not tell how long the rest takes.
+/// Least number of steps for an estimate of the time left: with fewer, steps are too unequal.
 const FINE: u64 = 20;
 
-/// Work being done.
+/// A task in progress.
 pub struct Progress {
     bar: ProgressBar,
     name: &'static str,
     total: u64,
     begin: Instant,
-    /// Of the last plain line.
+    /// Time of the last line or message.
     last: Instant,
 }
 
 impl Progress {
-    /// Begins.
+    /// Begins a task.
     ///
-    /// - `name`: what is done, such as `rendering`
-    /// - `total`: how many steps of it
+    /// - `name`: of the task, such as `rendering`
+    /// - `total`: its number of steps
     pub fn new(name: &'static str, total: usize) -> Self {
         let bar = ProgressBar::with_draw_target(Some(total as u64), ProgressDrawTarget::stderr_with_hz(8));
         let style = ProgressStyle::with_template("{prefix} {bar:30} {percent:>3} %  {eta} left  {wide_msg}");
@@ -37,14 +37,14 @@ impl Progress {
         Self { bar, name, total: total as u64, begin, last: begin }
     }
 
-    /// One step more; otherwise as [`Self::advance_to`].
+    /// Completes one more step; otherwise as [`Self::advance_to`].
     pub fn step(&mut self, detail: impl FnOnce() -> String) {
         self.advance_to(self.bar.position() as usize + 1, detail);
     }
 
-    /// So many steps are done.
+    /// Sets the number of completed steps.
     ///
-    /// - `detail`: behind the bar
+    /// - `detail`: text behind the bar
     pub fn advance_to(&mut self, num_done: usize, detail: impl FnOnce() -> String) {
         self.bar.set_position(num_done as u64);
         if self.bar.is_hidden() {
@@ -61,13 +61,13 @@ impl Progress {
         }
     }
 
-    /// Prints a line on standard output without tearing the bar.
+    /// Prints a line on standard output without breaking the bar.
     pub fn say(&self, text: &str) -> anyhow::Result<()> {
         self.bar.suspend(|| say(text))
     }
 }
 
-/// About how long the rest takes, in words, if it goes on as it went so far. `None` where too little is done to tell.
+/// The estimated time left, in words, at the mean speed so far. `None` where too little is done to tell.
 ///
 /// - `done`: share of the work, 0 to 1
 fn time_left(elapsed: Duration, done: f64) -> Option<String> {

@@ -1,4 +1,5 @@
-//! `tcgs reproduce`: a table of the paper by one command. `tcgs-reproduce` does it; here are its arguments and words.
+//! `tcgs reproduce`: a table of the paper by one command. `tcgs-reproduce` does the work; this file has the arguments
+//! and messages.
 
 use std::path::{Path, PathBuf};
 
@@ -14,9 +15,9 @@ use crate::terminal::{note, say};
 
 /// Reproduce a table or figure of the paper
 ///
-/// Trains, compresses and evaluates what is missing in OUT, and writes OUT/TABLE.txt, .csv, .tex, .json, .html and its
-/// plots, our numbers beside the paper's. What is done is not done again, so that a stopped command goes on where it
-/// was. DIR holds a capture a scene, in a folder of the scene's name: basketball, cook_spinach, ...
+/// Trains, compresses and evaluates the runs that are missing in OUT. Writes OUT/TABLE.txt, .csv, .tex, .json, .html
+/// and its plots, our numbers beside the paper's. Finished runs are not repeated, so a stopped command continues where
+/// it was. DIR holds a folder with a capture for each scene, named after it: basketball, cook_spinach, ...
 ///
 /// --print-commands prints a command for each missing run, for GNU parallel or a batch system; then the same command
 /// without it writes the table.
@@ -30,7 +31,7 @@ pub struct Arguments {
     /// Name of the table
     #[arg(required_unless_present = "list")]
     table: Option<String>,
-    /// Show the tables that there are
+    /// List the tables
     #[arg(long, conflicts_with = "json")]
     list: bool,
     /// Folder of the captures
@@ -39,19 +40,19 @@ pub struct Arguments {
     /// Folder for runs and tables
     #[arg(long, value_name = "OUT", required_unless_present = "list")]
     out: Option<PathBuf>,
-    /// Scenes, with commas between; any that DIR has a folder for [default: the paper's]
+    /// Scenes, separated by commas; any that DIR has a folder for [default: the paper's]
     #[arg(long, value_name = "A,B", value_delimiter = ',')]
     scenes: Option<Vec<String>>,
-    /// How long is trained, and on what
+    /// Length and data of the training
     #[arg(long, default_value = "full")]
     size: SizeName,
     /// Options of train that replace the table's, such as "--frames 0..20 --iterations 1500,300"
     #[arg(long, value_name = "OPTIONS", allow_hyphen_values = true)]
     train_args: Option<String>,
-    /// Do this run alone, and write no table
+    /// Do only this run, and write no table
     #[arg(long, value_name = "SCENE/RUN", conflicts_with = "json")]
     only: Option<String>,
-    /// Run nothing: write the table from what is done
+    /// Run nothing: write the table from finished runs
     #[arg(long, conflicts_with = "only")]
     no_run: bool,
     /// Print a command for each missing run, and do nothing
@@ -63,7 +64,7 @@ pub struct Arguments {
     job: JobOptions,
 }
 
-/// How long is trained, and on what.
+/// Length and data of the training.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum SizeName {
     /// The paper's frames and schedule
@@ -137,7 +138,7 @@ fn words(text: &str) -> Vec<String> {
     text.split_whitespace().map(str::to_owned).collect()
 }
 
-/// The command line again, but for what belongs to one call alone.
+/// The command line again, without the options that apply to one call only.
 fn command(arguments: &Arguments, table: &str) -> anyhow::Result<Vec<String>> {
     let (data, out) = (arguments.data.as_deref(), arguments.out.as_deref());
     let mut command = vec!["reproduce".to_owned(), table.to_owned()];
@@ -159,7 +160,7 @@ fn command(arguments: &Arguments, table: &str) -> anyhow::Result<Vec<String>> {
     Ok(command)
 }
 
-/// A path as an argument.
+/// A path as a UTF-8 argument.
 fn text(path: &Path) -> anyhow::Result<String> {
     let text = path.to_str().map(str::to_owned);
     text.ok_or_else(|| wrong_input(format!("{}: not a name in UTF-8, expected one", path.display())))

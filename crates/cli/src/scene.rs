@@ -1,4 +1,4 @@
-//! The argument SCENE of commands: how scenes are opened and described.
+//! The argument SCENE of commands: opens and describes scenes.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ use crate::error::wrong_input;
 use crate::output::show_bytes;
 use crate::terminal::note;
 
-/// How a SCENE that is to be compressed is read.
+/// Options for reading a SCENE to compress.
 #[derive(Args, Clone, Copy, Debug, Default)]
 pub struct SourceOptions {
     /// Leave out spherical harmonics above degree 0 of PLY, SPZ, glTF and .4dgs files: colours stop depending on the
@@ -34,7 +34,7 @@ impl SourceOptions {
         self.open_with(path, CutFiles::Refuse)
     }
 
-    /// Opens a scene, and says which file was found below a folder.
+    /// Opens a scene, and prints which file it found if that is further below the folder.
     fn open_with(self, path: &Path, cut_files: CutFiles) -> Result<OpenScene, PipelineError> {
         let scene = OpenScene::open(path, OpenSettings { cut_files, ..self.settings() })?;
         let is_below = scene.path != path && scene.path.parent() != Some(path);
@@ -53,7 +53,7 @@ impl SourceOptions {
     }
 }
 
-/// How a SCENE of any kind is read.
+/// Options for reading a SCENE of any kind.
 #[derive(Args, Clone, Copy, Debug, Default)]
 pub struct SceneOptions {
     #[command(flatten)]
@@ -62,18 +62,18 @@ pub struct SceneOptions {
     recover: RecoverOption,
 }
 
-/// What to do with a file that was cut.
+/// Handling of a truncated file.
 #[derive(Args, Clone, Copy, Debug, Default)]
 pub struct RecoverOption {
-    /// Of a .tcgs file that was cut, read what is whole
+    /// Read the intact part of a .tcgs file that was cut
     #[arg(long)]
     pub recover: bool,
 }
 
 impl RecoverOption {
-    /// A file that cannot be decoded; of one that was cut with the advice to recover it.
+    /// The error of a file that cannot be decoded. For a file that was cut, it advises `--recover`.
     ///
-    /// - `message`: names the file and what was found
+    /// - `message`: names the file and the finding
     pub fn advise(self, error: &DecodeError, message: String) -> anyhow::Error {
         match error.fault() {
             Fault::Input if error.is_cut() && !self.recover => {
@@ -100,7 +100,7 @@ impl SceneOptions {
     }
 }
 
-/// Prints the assumptions of readers of another program's files.
+/// Prints the assumptions of readers of other programs' files.
 fn note_assumed(scene: &OpenScene) {
     for assumed in scene.notes() {
         if let ReadNote::AssumedAxes(_) = assumed {
@@ -109,7 +109,7 @@ fn note_assumed(scene: &OpenScene) {
     }
 }
 
-/// Prints the numbers that readers of another program's files replaced. A command does so at its end, since a timestep
+/// Prints the numbers that readers of other programs' files replaced. Commands call it at their end, because a timestep
 /// is read when it is needed.
 pub fn note_replaced(scene: &OpenScene) {
     for replaced in scene.notes() {
@@ -148,15 +148,15 @@ pub fn describe(scene: &OpenScene) -> String {
     format!("{path} ({kind}): {number} Gaussians{harmonics}{antialiased}, {num_timesteps} timesteps, {size}")
 }
 
-/// The least and the most Gaussians of a scene at a timestep.
+/// The smallest and the largest number of Gaussians at any timestep.
 pub fn numbers(scene: &OpenScene) -> [usize; 2] {
     let counts: Vec<usize> = (0..scene.num_timesteps()).map(|timestep| scene.num_gaussians_at(timestep)).collect();
     [counts.iter().min(), counts.iter().max()].map(|count| count.copied().unwrap_or(scene.num_gaussians()))
 }
 
-/// A file given by the user that cannot be read.
+/// The error of a user's file that cannot be read.
 ///
-/// - `expected`: what it should have been
+/// - `expected`: the expected kind of file
 pub fn unreadable(path: &Path, error: std::io::Error, expected: &str) -> anyhow::Error {
     let message = format!("{}: {error}, expected {expected}", path.display());
     match error.fault() {

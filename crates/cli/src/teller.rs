@@ -1,4 +1,4 @@
-//! Tells people what happens in a long call: progress, a line a timestep, warnings; and stops it after Ctrl-C.
+//! Reports events of a long call: progress, a line per timestep, warnings. Stops the call after Ctrl-C.
 
 use std::ops::ControlFlow;
 
@@ -14,18 +14,18 @@ use crate::terminal::{note, say};
 #[derive(Default)]
 pub struct Teller {
     progress: Option<Progress>,
-    /// Whether the table of timesteps has its head.
+    /// Whether the header of the table of timesteps has been printed.
     has_head: bool,
     /// Gaussians at the start of the timestep.
     num_before: Option<usize>,
-    /// Whether it was said why there are fewer: of the first timestep, of later ones.
+    /// Whether the reason for a falling number of Gaussians has been printed: for the first timestep, for later ones.
     said_fewer: [bool; 2],
-    /// Standard output cannot be written.
+    /// The error of writing to standard output.
     failed: Option<anyhow::Error>,
 }
 
 impl Teller {
-    /// Makes a call with this observer. Where nobody can be told any more, that is the error.
+    /// Makes a call with this observer. A failure of standard output takes precedence over the call's result.
     pub fn watch<T, E: Into<anyhow::Error>>(
         mut self,
         call: impl FnOnce(&mut Self) -> Result<T, E>,
@@ -37,7 +37,7 @@ impl Teller {
         }
     }
 
-    /// Whether to go on after telling something.
+    /// Whether the call continues, after printing.
     fn go_on(&mut self, told: anyhow::Result<()>) -> ControlFlow<()> {
         match told {
             Ok(()) => interrupt::asked(),
@@ -112,7 +112,7 @@ impl Observer for Teller {
     }
 }
 
-/// Why a timestep ends with fewer Gaussians than it began with.
+/// The reason why a timestep ends with fewer Gaussians than it began with.
 fn fewer(timestep: usize) -> &'static str {
     match timestep {
         0 => "the first timestep removes those that are nearly transparent, too large, or hardly needed by the images",
@@ -120,19 +120,19 @@ fn fewer(timestep: usize) -> &'static str {
     }
 }
 
-/// A line of the table of settings tried.
+/// A table row for a trial of the target search.
 pub fn line(trial: &Trial) -> String {
     format!("{:>7.2}  {:>11}  {:>8}", trial.quality(), show_bytes(trial.bytes), show_psnr(trial.psnr))
 }
 
-/// A line of the table of settings tried by tuning.
+/// A table row for a trial of tuning.
 fn tuning_line(trial: &TuningTrial) -> String {
     let saved = trial.saved.map_or("-".into(), |saved| format!("{:.1} %", 100.0 * saved));
     let psnr = format!("{:.3} dB", trial.psnr);
     format!("{:<22}  {:>11}  {psnr:>9}  {saved:>7}", trial.setting, show_bytes(trial.bytes))
 }
 
-/// A line of the table of settings tried for small errors.
+/// A table row for a trial of the search for small errors.
 fn error_line(trial: &ErrorTrial) -> String {
     let errors = trial.errors.iter().map(|(name, error)| format!("{} {}", word(name), show(*error)));
     format!("{:>11}  {}", show_bytes(trial.bytes), errors.collect::<Vec<_>>().join("  "))

@@ -1,4 +1,4 @@
-//! `tcgs verify`: whether a `.tcgs` file is whole, and errs by no more than it declares.
+//! `tcgs verify`: checks that a `.tcgs` file is whole, and that its errors stay within those it declares.
 
 use std::path::{Path, PathBuf};
 
@@ -16,9 +16,10 @@ use crate::terminal::say;
 
 /// Check that a .tcgs file is whole, and with SOURCE that it errs by no more than it declares
 ///
-/// Every checksum is verified and everything is decoded, within the limits of a decoder. With SOURCE every Gaussian of the
-/// file is looked for in the scene that was compressed, at every timestep: in a file of version 2 by compress, one lies
-/// within the declared errors of all attributes, and no two Gaussians have the same one. What the file lacks was pruned.
+/// Verifies every checksum and decodes everything, within the limits of a decoder. With SOURCE it looks for every
+/// Gaussian of the file in the scene that was compressed, at every timestep. In a version 2 file by compress, each
+/// Gaussian has a source Gaussian of its own within the declared errors of all attributes. Source Gaussians that are
+/// not in the file were pruned.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:
@@ -30,8 +31,8 @@ or none is declared; 2 wrong usage, a damaged file, or another scene than SOURCE
 pub struct Arguments {
     /// .tcgs file
     file: PathBuf,
-    /// What was compressed: run folder, params.npz, .4dgs file, PLY, SPZ or glTF files, or .tcgs file; several run folders
-    /// where chapters were joined
+    /// The compressed scene: run folder, params.npz, .4dgs file, PLY, SPZ or glTF files, or .tcgs file; several run
+    /// folders if chapters were joined
     sources: Vec<PathBuf>,
     #[command(flatten)]
     reading: SourceOptions,
@@ -112,7 +113,7 @@ fn add(result: &mut Value, comparison: &Comparison) {
     result["holds"] = json!(comparison.holds());
 }
 
-/// An error, for which the exit code is 1, unless all is as declared.
+/// Returns an error, exit code 1, unless all errors are within those declared.
 fn judge(comparison: &Comparison, arguments: &Arguments) -> anyhow::Result<()> {
     let file = arguments.file.display();
     let attributes = |holds: fn(&&Compared) -> bool| -> String {

@@ -12,7 +12,7 @@ use tcgs_codec::{
 mod scenes;
 
 fn keypoints(criterion: &mut Criterion) {
-    // The paper's length; a walk needs all of its keypoints, the slowest case.
+    // The paper's length. A random walk needs all of its keypoints, the slowest case.
     let random = &mut scenes::Random(5);
     let tracks: Vec<Vec<f32>> = (0..1000)
         .map(|_| {
@@ -37,8 +37,8 @@ fn keypoints(criterion: &mut Criterion) {
 const NUM_GAUSSIANS: usize = 20_000;
 const NUM_TIMESTEPS: usize = 100;
 
-/// On one thread, and both parts apart: bytes to keypoints, keypoints to floats. A rate of 60 million
-/// Gaussian-timesteps a second in both together is 300 timesteps of 200,000 Gaussians, ten times 30 a second.
+/// Measures on one thread, and separately: bytes to keypoints, keypoints to floats. A rate of 60 million
+/// Gaussian-timesteps per second for both is 300 timesteps of 200,000 Gaussians, ten times 30 per second.
 fn scene(criterion: &mut Criterion) {
     let scene = scenes::room(NUM_GAUSSIANS, NUM_TIMESTEPS);
     let bit_map = scenes::mixed_widths(NUM_GAUSSIANS);
@@ -89,7 +89,7 @@ fn scene(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// The steps of decoding a file that `TCGS_FILE` names, on one thread.
+/// Measures the steps of decoding the file in `TCGS_FILE`, on one thread.
 fn named_file(criterion: &mut Criterion) {
     let Some(path) = std::env::var_os("TCGS_FILE") else { return };
     let file = std::fs::read(path).expect("TCGS_FILE names a file");

@@ -1,6 +1,6 @@
-//! Memory of compressing a scene that is read a timestep at a time.
+//! Memory of compressing a scene that is read one timestep at a time.
 //!
-//! `cargo bench -p tcgs-codec --bench compress_memory` prints the peak of what the process held. `TCGS_GAUSSIANS` and
+//! `cargo bench -p tcgs-codec --bench compress_memory` prints the peak memory of the process. `TCGS_GAUSSIANS` and
 //! `TCGS_TIMESTEPS` set the size: `50000` and `3000` are a scene of 6 GB of floats. `TCGS_WHOLE=1` compresses the same
 //! scene from memory, for comparison.
 
@@ -17,8 +17,8 @@ use tcgs_core::{DynamicGaussians, Gaussians, Layout, SceneReader};
 #[path = "../tests/scenes/mod.rs"]
 mod scenes;
 
-/// A room of which a twentieth moves without end; the rest trembles by a tenth of the tolerances, as what an
-/// optimisation keeps still.
+/// A room in which a twentieth of the Gaussians move all the time. The rest trembles by a tenth of the tolerances, like
+/// still Gaussians in an optimisation.
 struct Made {
     base: Gaussians,
     num_timesteps: usize,
@@ -96,7 +96,7 @@ fn main() {
         file.get_ref().len(),
         peak_mib().map_or_else(|| "unknown".to_owned(), |mib| mib.to_string())
     );
-    // The file is the scene: one timestep of it, within the tolerances.
+    // Checks one timestep of the file against the scene, within the tolerances.
     let mut file =
         SceneFile::open(file, &DecodeLimits::none(), SegmentCache::DEFAULT_BYTES).expect("a file just written");
     let found = file.at(num_timesteps - 1).expect("a file just written");
@@ -108,7 +108,7 @@ fn main() {
     assert!(mse < 1e-3, "a mean squared distance of {mse}");
 }
 
-/// Most memory that the process ever held; known on Linux.
+/// Peak memory of the process; known on Linux.
 fn peak_mib() -> Option<usize> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;

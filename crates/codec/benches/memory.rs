@@ -1,5 +1,5 @@
-//! Memory of decoding one segment: the most that was allocated at any moment, beyond the file and what all segments
-//! share, against what the segment then holds.
+//! Memory of decoding one segment: the peak of allocations beyond the file and the shared layers, compared with the
+//! size of the decoded segment.
 //!
 //! `cargo bench -p tcgs-codec --bench memory` prints a line for each scene.
 
@@ -13,7 +13,7 @@ use tcgs_codec::{Archive, CompressSettings, DecodeLimits, Opening, Sampler, Scen
 #[path = "../tests/scenes/mod.rs"]
 mod scenes;
 
-/// Counts what is allocated. A block that grows counts twice meanwhile: not every system can grow it in place.
+/// Counts allocated bytes. A block that grows counts twice meanwhile: not every system can grow it in place.
 struct Counting;
 
 static NOW: AtomicUsize = AtomicUsize::new(0);
@@ -23,24 +23,24 @@ fn more(bytes: usize) {
     MOST.fetch_max(NOW.fetch_add(bytes, Ordering::SeqCst) + bytes, Ordering::SeqCst);
 }
 
-// SAFETY: every call goes to the system's allocator as it came.
+// SAFETY: every call passes to the system's allocator unchanged.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         more(layout.size());
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller's contract is passed on.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
         NOW.fetch_sub(layout.size(), Ordering::SeqCst);
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller's contract is passed on.
         unsafe { System.dealloc(block, layout) }
     }
 
     unsafe fn realloc(&self, block: *mut u8, layout: Layout, new_size: usize) -> *mut u8 {
         more(new_size);
         NOW.fetch_sub(layout.size(), Ordering::SeqCst);
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller's contract is passed on.
         unsafe { System.realloc(block, layout, new_size) }
     }
 }
@@ -48,7 +48,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// What `f` returns, what of it stays, and the most that was allocated meanwhile.
+/// The result of `f`, the bytes that it keeps allocated, and the peak of allocated bytes.
 fn measure<T>(f: impl FnOnce() -> T) -> (T, usize, usize) {
     let before = NOW.load(Ordering::SeqCst);
     MOST.store(before, Ordering::SeqCst);

@@ -1,5 +1,5 @@
-//! Makes a long scene in which Gaussians come and go, writes it cohort by cohort, and shows what reading one timestep of
-//! it takes.
+//! Makes a long scene in which Gaussians come and go, writes it cohort by cohort, and shows the cost of reading one of
+//! its timesteps.
 //!
 //! ```sh
 //! cargo run --release --example long_scene -p tcgs-codec -- 10000 1.0 long.tcgs
@@ -77,11 +77,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// First and last timesteps: some stay for ever, some for a fifth, most for a moment.
+/// First and last timesteps: some Gaussians live throughout, some for a fifth of the time, most for a moment.
 fn lives(num_timesteps: u32, size: f64) -> Vec<[u32; 2]> {
     let last = num_timesteps - 1;
     let mut lives = vec![[0, last]; (20_000.0 * size) as usize];
-    // Alive at a time, and how long a life is on the average.
+    // Number alive at a time, and mean length of a life.
     for (alive, length) in [(15_000.0 * size, num_timesteps / 5), (15_000.0 * size, num_timesteps / 65)] {
         let length = length.max(1);
         let count = (alive * f64::from(num_timesteps) / f64::from(length)) as u32;
@@ -93,11 +93,11 @@ fn lives(num_timesteps: u32, size: f64) -> Vec<[u32; 2]> {
     lives
 }
 
-/// Gaussians of a cohort, made when they are asked for.
+/// Gaussians of a cohort, made on request.
 struct Made<'a> {
     lives: &'a [[u32; 2]],
     cohort: &'a Contemporaries,
-    /// As they are at the beginnings of their lives.
+    /// Gaussians at the beginnings of their lives.
     first: Gaussians,
 }
 
@@ -131,12 +131,12 @@ impl SceneReader for Made<'_> {
         self.cohort.timesteps.len()
     }
 
-    /// Before and after its life each is as at its ends.
+    /// Before and after its life a Gaussian has the values at its ends.
     fn at(&mut self, timestep: usize) -> Result<Gaussians, Infallible> {
         let (timestep, mut now) = (self.cohort.timesteps.start + timestep, self.first.clone());
         for (row, &g) in self.cohort.gaussians.iter().enumerate() {
             let [birth, death] = self.lives[g].map(|t| t as usize);
-            // What was there from the beginning stands still.
+            // Gaussians born at timestep 0 stand still.
             if birth == 0 {
                 continue;
             }
@@ -159,7 +159,7 @@ fn random(seed: u64) -> f32 {
     ((z ^ z >> 31) >> 40) as f32 / (1 << 24) as f32
 }
 
-/// Most memory that the process has held, bytes; 0 where the system does not say.
+/// Peak memory of the process, bytes; 0 where the system does not report it.
 fn most_memory() -> Result<u64, Box<dyn Error>> {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));

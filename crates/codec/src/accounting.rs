@@ -1,13 +1,13 @@
 //! Sizes of a scene without entropy coding, as the paper counts sizes.
 //!
-//! The three sizes of [`CompactScene`] here separate what quantisation and keypoints save from what the entropy coder
-//! saves. The size of a `.tcgs` file is the length of what [`encode`](crate::encode()) returns.
+//! The three sizes of [`CompactScene`] here separate the gain of quantisation and keypoints from the gain of the
+//! entropy coder. The size of a `.tcgs` file is the length of the bytes that [`encode`](crate::encode()) returns.
 
 use tcgs_core::Attribute;
 
 use crate::compact::CompactScene;
 
-/// Step and offset as 32-bit floats.
+/// A step and an offset, 32-bit floats each.
 const QUANTIZER_BITS: u64 = 64;
 
 impl CompactScene {
@@ -21,8 +21,8 @@ impl CompactScene {
 
     /// Size in the paper's sparse form without entropy coding, in bytes.
     ///
-    /// - a track of an attribute that varies: one byte for the number of keypoints (two bytes if any track of the scene
-    ///   has more than 255), and for each keypoint `ceil(log2 T)` bits for the timestep and the width of the code
+    /// - a track of an attribute that varies: one byte for the number of keypoints, or two bytes if any track of the
+    ///   scene has more than 255. Each keypoint takes `ceil(log2 T)` bits for the timestep and the width of the code
     /// - a track of another attribute: the width of one code
     /// - the bit map: `ceil(log2(number of widths in use))` bits for each Gaussian and attribute
     /// - a quantizer: 64 bits, for step and offset
@@ -38,8 +38,8 @@ impl CompactScene {
         })
     }
 
-    /// Size in bytes if every timestep of every attribute that varies were stored as a code, without keypoints and
-    /// without entropy coding. The bit map and the quantizers count as in [`Self::plain_bytes`].
+    /// Size in bytes if every timestep of every attribute that varies were stored as a code, without keypoints or
+    /// entropy coding. The bit map and the quantizers count as in [`Self::plain_bytes`].
     pub fn quantized_bytes(&self) -> u64 {
         let num_timesteps = self.num_timesteps() as u64;
         self.bytes_with(|attribute| {

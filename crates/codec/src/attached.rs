@@ -1,52 +1,53 @@
-//! What is attached to a file for players (`docs/FORMAT.md`, "Application data"): times of timesteps, light, credits, sound. No
-//! decoder needs these data, and a reader goes on without data that it finds wrong.
+//! Application data for players (`docs/FORMAT.md`, "Application data"): times of timesteps, light, credits, sound. No
+//! decoder needs these data; a reader ignores data that are invalid.
 
 use serde::{Deserialize, Serialize};
 
 use crate::keypoints::{Selector, fit_values};
 
-/// Name of the application data that hold the times of timesteps that are not evenly apart.
+/// Name of the application data with the times of unevenly spaced timesteps.
 pub const TIMES: &str = "tcgs.times";
-/// Name of the application data that say whose work the scene is.
+/// Name of the application data with the credits of a scene.
 pub const CREDITS: &str = "tcgs.credits";
-/// Name of the application data that are a sound to play along, an Ogg Opus stream.
+/// Name of the application data with a soundtrack, an Ogg Opus stream.
 pub const SOUND: &str = "tcgs.sound";
-/// Name of the application data that say how the light on a scene changes.
+/// Name of the application data with the light on a scene over time.
 pub const LIGHT: &str = "tcgs.light";
 
-/// Gains that differ from 1 by less count as 1. Half of it is the root mean square error that the choice of keypoints allows.
+/// Gains that differ from 1 by less count as 1. Keypoint selection allows half of it as root mean square error.
 const LEAST_CHANGE: f32 = 0.004;
 /// Decimal places of gains in a file.
 const PLACES: f64 = 1e4;
 
-/// Longer texts are passed over: 65,536 times in microseconds take as much, and parsed JSON takes a multiple of its text.
+/// Longest text that is parsed: 65,536 times in microseconds take as much, and parsed JSON takes a multiple of its
+/// text.
 pub(crate) const MAX_BYTES: usize = 1 << 20;
 
-/// Whose work a scene is. What the file does not say is none or empty.
+/// Credits of a scene. A field that the file lacks is `None` or empty.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(default)]
 pub struct Credits {
-    /// An identifier of SPDX, or any text.
+    /// An SPDX identifier, or any text.
     pub licence: Option<String>,
     /// Names of people.
     pub authors: Vec<String>,
-    /// Where the scene comes from: any text, often an address. It is a stranger's.
+    /// Origin of the scene: any text, often an address. It comes from the file, so it is untrusted.
     pub source: Option<String>,
 }
 
-/// How the light on a scene changes over time: one gain for red, green and blue, by which a renderer multiplies all colours.
-/// Gains are interpolated linearly between keypoints.
+/// The light on a scene over time: gains of red, green and blue, by which a renderer multiplies all colours. Gains are
+/// linear between keypoints.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Light {
-    /// `[K]` timesteps of the scene, strictly ascending; empty where the light does not change.
+    /// `[K]` timesteps of the scene, strictly ascending; empty if the light is constant.
     timesteps: Vec<usize>,
     /// `[K]` red, green and blue, above 0.
     gains: Vec<[f32; 3]>,
 }
 
 impl Light {
-    /// Chooses keypoints for the gains of all timesteps by the paper's Algorithm 1. There are none if all gains are within 0.4 % of
-    /// 1.
+    /// Chooses keypoints for the gains of all timesteps by the paper's Algorithm 1. The result has no keypoints if all
+    /// gains are within 0.4 % of 1.
     ///
     /// - `gains`: `[T]`, finite and above 0
     ///
@@ -73,13 +74,13 @@ impl Light {
         Self { timesteps, gains }
     }
 
-    /// Timesteps and gains of the keypoints, ascending; none where the light does not change.
+    /// Timesteps and gains of the keypoints, ascending; empty if the light is constant.
     pub fn keypoints(&self) -> Vec<(usize, [f32; 3])> {
         self.timesteps.iter().copied().zip(self.gains.iter().copied()).collect()
     }
 
-    /// The gains at a timestep of the scene; 1 if there are no keypoints. Before the first and after the last keypoint gains are
-    /// constant.
+    /// The gains at a timestep of the scene; 1 if there are no keypoints. Gains are constant before the first and after
+    /// the last keypoint.
     pub fn at(&self, timestep: usize) -> [f32; 3] {
         let after = self.timesteps.partition_point(|&t| t <= timestep);
         match (after.checked_sub(1), self.timesteps.get(after)) {
@@ -94,13 +95,13 @@ impl Light {
         }
     }
 
-    /// The data that a file holds.
+    /// Encodes the light as application data.
     pub fn to_json(&self) -> Vec<u8> {
         serde_json::to_vec(self).expect("numbers are JSON")
     }
 }
 
-/// How the light on a scene changes; without keypoints, and so constant, if the data are missing or wrong.
+/// Reads the light on a scene. It has no keypoints, and so is constant, if the data are missing or invalid.
 ///
 /// - `data`: names and bytes of application data, in the order of the file
 ///
@@ -119,8 +120,8 @@ pub fn read_light(data: &[(String, Vec<u8>)]) -> Light {
     parse(data, LIGHT).filter(is_right).unwrap_or_default()
 }
 
-/// Times of the timesteps of a scene, in seconds from the first one; none if the file gives none that are right, which are
-/// one for each timestep, strictly ascending from 0.
+/// Times of the timesteps of a scene, in seconds from the first one. `None` if the file has no valid times: one for
+/// each timestep, strictly ascending from 0.
 ///
 /// - `data`: names and bytes of application data, in the order of the file
 ///
@@ -140,7 +141,7 @@ pub fn read_times(data: &[(String, Vec<u8>)], num_timesteps: usize) -> Option<Ve
     (seconds.len() == num_timesteps && seconds.first() == Some(&0.0) && ascends).then_some(seconds)
 }
 
-/// Whose work a scene is; none if the file does not say so.
+/// Credits of a scene; `None` if the file has none.
 ///
 /// - `data`: names and bytes of application data, in the order of the file
 ///
@@ -154,7 +155,7 @@ pub fn read_credits(data: &[(String, Vec<u8>)]) -> Option<Credits> {
     parse(data, CREDITS)
 }
 
-/// The first data of a name, if they are JSON of this form. Fields that are not understood are skipped.
+/// Parses the first data of a name; `None` if they are not JSON of this form. Unknown fields are skipped.
 fn parse<T: for<'a> Deserialize<'a>>(data: &[(String, Vec<u8>)], name: &str) -> Option<T> {
     let (_, bytes) = data.iter().find(|(of, _)| of == name)?;
     (bytes.len() <= MAX_BYTES).then(|| serde_json::from_slice(bytes).ok()).flatten()
@@ -207,7 +208,7 @@ mod tests {
 
     #[test]
     fn light_goes_through_its_gains_and_through_a_file() {
-        // It flickers, then fades.
+        // The light flickers, then fades.
         let gains: Vec<[f32; 3]> = (0..60)
             .map(|t| if t < 20 { [1.0 + 0.1 * (t % 2) as f32, 1.0, 1.0] } else { [1.0 - 0.004 * (t - 20) as f32; 3] })
             .collect();

@@ -1,5 +1,5 @@
-//! By how much decoded Gaussians differ from those that were compressed, attribute by attribute: what a file declares in
-//! `INFO` (`docs/FORMAT.md`). Nothing here knows files.
+//! Errors of decoded Gaussians against the compressed ones, for each attribute: the numbers that a file declares in
+//! `INFO` (`docs/FORMAT.md`). This module does not know files.
 
 use std::sync::Arc;
 
@@ -8,7 +8,8 @@ use tcgs_core::{Activation, Attribute, Column, Gaussians, Layout, SceneReader, d
 use crate::compact::{CompactScene, unit_quat};
 use crate::error::CompressError;
 
-/// Others who compute an error in binary64 find it larger by at most this share, and this number.
+/// Relative and absolute margin of a declared error. Another computation in binary64 exceeds the error by at most
+/// these.
 const MARGIN: (f64, f64) = (1e-6, 1e-12);
 
 /// Error of one attribute of one Gaussian, in f64.
@@ -43,7 +44,7 @@ pub fn attribute_error(column: &Column, original: &[f32], decoded: &[f32]) -> f6
     if error.is_nan() { f64::INFINITY } else { error }
 }
 
-/// The largest absolute value; NaN if there is one.
+/// The largest absolute value; NaN if any value is NaN.
 fn largest(values: impl Iterator<Item = f64>) -> f64 {
     values.fold(0.0, |most, x| if x.abs() > most || x.is_nan() { x.abs() } else { most })
 }
@@ -52,12 +53,13 @@ fn logistic(x: f32) -> f64 {
     1.0 / (1.0 + (-f64::from(x)).exp())
 }
 
-/// Angle of the rotation from one quaternion to another. By the lengths of their difference and of their sum, since the
-/// inner product of neighbours is 1 but for what rounding leaves.
+/// Angle of the rotation from one quaternion to another. Computed from the lengths of their difference and their sum:
+/// the inner product of close quaternions is 1 up to rounding, so its arc cosine is inexact.
 fn angle(original: &[f32], decoded: &[f32]) -> f64 {
     let unit = |quat: &[f32]| {
         let quat = [quat[0], quat[1], quat[2], quat[3]];
-        // What cannot be normalised is the identity, which must not hide that a value is not finite.
+        // A quaternion that cannot be normalised counts as the identity, but non-finite values must not be hidden by
+        // it.
         if quat.iter().all(|x| x.is_finite()) { normalize(unit_quat(quat).map(f64::from)) } else { [f64::NAN; 4] }
     };
     let (p, q) = (unit(original), unit(decoded));
@@ -83,28 +85,28 @@ fn angle(original: &[f32], decoded: &[f32]) -> f64 {
 #[derive(Clone, Debug, PartialEq)]
 pub struct AttributeErrors {
     layout: Arc<Layout>,
-    /// By [`Attribute::index`].
+    /// Largest errors by [`Attribute::index`].
     largest: Vec<f64>,
 }
 
 impl AttributeErrors {
-    /// Of no Gaussian yet: 0.
+    /// Errors before the first Gaussian: all 0.
     pub fn none(layout: &Arc<Layout>) -> Self {
         Self { layout: Arc::clone(layout), largest: vec![0.0; layout.columns().len()] }
     }
 
-    /// Errors of a compact scene against what it was made of, at all timesteps at which each Gaussian lives. Reads the
-    /// scene once and holds one timestep.
+    /// Errors of a compact scene against the scene it was made of, at all timesteps at which each Gaussian lives. Reads
+    /// the scene once and holds one timestep.
     ///
     /// - `original`: the scene that was compressed; its timestep 0 is that of `compact`
-    /// - `order`: Gaussian `i` of `compact` is Gaussian `order[i]` of `original`. What is in no place of it was left out,
-    ///   which is no error
+    /// - `order`: Gaussian `i` of `compact` is Gaussian `order[i]` of `original`. Gaussians missing from `order` were
+    ///   left out, which is no error
     ///
     /// # Errors
     /// [`CompressError::Read`] if the reader fails; [`CompressError::Layout`] if a timestep has other columns.
     ///
     /// # Panics
-    /// If `original` has fewer timesteps or Gaussians than `compact` and `order` say.
+    /// If `original` has fewer timesteps than `compact`, or fewer Gaussians than `order` requires.
     pub fn of<R: SceneReader>(
         compact: &CompactScene,
         original: &mut R,
@@ -125,10 +127,10 @@ impl AttributeErrors {
         Ok(errors)
     }
 
-    /// Adds Gaussians, of which those of the same row are the same.
+    /// Adds Gaussians; equal rows belong together.
     ///
     /// # Panics
-    /// If both have not as many Gaussians and the columns of the layout.
+    /// If the numbers of Gaussians differ, or the columns are not those of the layout.
     pub fn add(&mut self, original: &Gaussians, decoded: &Gaussians) {
         let (found, expected) = (decoded.num_gaussians(), original.num_gaussians());
         assert_eq!(found, expected, "decoded Gaussians against those that were compressed");
@@ -137,7 +139,7 @@ impl AttributeErrors {
 
     /// Adds pairs of Gaussians.
     ///
-    /// - `pairs`: the row of `original` and that of `decoded`
+    /// - `pairs`: a row of `original` and one of `decoded`
     ///
     /// # Panics
     /// If a row is out of range, or the columns are not those of the layout.
@@ -157,7 +159,7 @@ impl AttributeErrors {
         }
     }
 
-    /// Takes over what is larger in another.
+    /// Raises each error to that of `other` if the latter is larger.
     ///
     /// # Panics
     /// If the columns differ.
@@ -166,14 +168,14 @@ impl AttributeErrors {
         self.largest.iter_mut().zip(&other.largest).for_each(|(largest, other)| *largest = largest.max(*other));
     }
 
-    /// By name of the attribute, in the units of [`attribute_error`].
+    /// Largest errors by name of the attribute, in the units of [`attribute_error`].
     pub fn by_name(&self) -> Vec<(&str, f64)> {
         let columns = self.layout.columns().iter();
         columns.zip(&self.largest).map(|(column, &error)| (&column.name[..], error)).collect()
     }
 
-    /// By name of the attribute what a file may declare: no smaller than the error that anyone finds who computes in f64.
-    /// What is beyond `f32` is left out.
+    /// The errors that a file may declare, by name of the attribute: no smaller than any computation in f64 would find.
+    /// Errors beyond the range of `f32` are left out.
     pub fn declared(&self) -> Vec<(String, f32)> {
         let declared = self.by_name().into_iter().map(|(name, error)| (name.to_owned(), rounded_up(error)));
         declared.filter(|(_, error)| error.is_finite()).collect()
@@ -205,7 +207,8 @@ mod tests {
         assert_eq!(of(Attribute::Mean, &[1.0, 2.0, 3.0], &[1.0, 5.0, 7.0]), 5.0);
         assert_eq!(of(Attribute::LogScale, &[0.0, -1.0, 2.0], &[0.25, -1.5, 2.0]), 0.5);
         assert_eq!(of(Attribute::Color, &[0.5, 0.5, 0.5], &[0.5, 0.75, 0.25]), 0.25);
-        // Of what is drawn: from a half to three quarters, and next to nothing where nearly all is opaque.
+        // The error of the activated opacity: from a half to three quarters, and almost none where both are nearly
+        // opaque.
         let opacity = |a: f32, b: f32| of(Attribute::LogitOpacity, &[a], &[b]);
         assert!((opacity(0.0, 3.0_f32.ln()) - 0.25).abs() < 1e-7);
         assert!(opacity(20.0, 30.0) < 1e-8 && opacity(-20.0, 20.0) > 0.999_999);

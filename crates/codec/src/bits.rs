@@ -1,7 +1,7 @@
 //! Bit allocation: the width of every Gaussian's codes, from the sensitivities of the images.
 //!
-//! [`assign_bits`] makes a [`BitMap`] before compression. Which float a code of a width stands for is the subject of
-//! [`Quantizer`](crate::Quantizer).
+//! [`assign_bits`] makes a [`BitMap`] before compression. [`Quantizer`](crate::Quantizer) defines the float that a code
+//! of a width stands for.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -21,7 +21,7 @@ pub struct BitMap {
 }
 
 impl Default for BitMap {
-    /// No Gaussians, of the columns of [`Layout::base`].
+    /// No Gaussians, with the columns of [`Layout::base`].
     fn default() -> Self {
         Self::uniform(0, MAX_BITS, MAX_BITS)
     }
@@ -64,7 +64,7 @@ impl BitMap {
         Self { layout, widths }
     }
 
-    /// Layout of the scene for which the widths are.
+    /// Layout of the scene that the widths belong to.
     pub fn layout(&self) -> &Arc<Layout> {
         &self.layout
     }
@@ -125,7 +125,7 @@ pub struct BitSettings {
     pub min_bits: u8,
     /// Largest width, in bits, `min_bits` to 16: the paper's `b_max`. Default 8 (paper).
     pub max_bits: u8,
-    /// Mean width that [`BitMapping::Log`] aims at in every attribute but positions, in bits; unused by
+    /// Target mean width of [`BitMapping::Log`] in every attribute but positions, in bits; unused by
     /// [`BitMapping::Linear`]. Default 5, about the mean width that the paper's rule gives with its range of 4 to 8.
     pub mean_bits: f32,
     /// Width of each coordinate of a mean, in bits, 1 to 16. Default 16 (paper).
@@ -155,14 +155,14 @@ fn mixed(layout: &Layout) -> impl Iterator<Item = Attribute> {
 /// `round(min_bits + S (max_bits - min_bits))`, where `S` is the largest sensitivity among the components of the
 /// attribute. `S` is heavy-tailed, so nearly all attributes get `min_bits`.
 ///
-/// [`BitMapping::Log`] minimises `Σ S² step²`, the expected squared change of the images when each
-/// parameter errs by its step independently, within each attribute. At equal width the step is proportional to the
-/// spread (standard deviation over Gaussians) of the component, `step = spread 2^-b`. With one width for all components
-/// `k` of an attribute, the minimum at a given total of bits lies where `Σ_k (S_k spread_k)² 4^-b` is the same for all
-/// Gaussians (reverse water-filling), that is at `b = log2 w + c` with `w² = Σ_k (S_k spread_k)²`. For each attribute
-/// bisection finds the constant `c` whose mean width is nearest to `mean_bits`. Attributes are not weighed against each
-/// other: `S` sums signed changes of pixels, so the effect of an attribute that moves edges (rotations, scales) cancels
-/// in part, and the effect of an attribute that brightens (colours, opacities) does not.
+/// [`BitMapping::Log`] minimises `Σ S² step²` within each attribute: the expected squared change of the images when
+/// each parameter errs by its step independently. At equal width the step is proportional to the spread (standard
+/// deviation over Gaussians) of the component, `step = spread 2^-b`. All components `k` of an attribute share one
+/// width. At the minimum for a given total of bits, `Σ_k (S_k spread_k)² 4^-b` is the same for all Gaussians (reverse
+/// water-filling). So `b = log2 w + c` with `w² = Σ_k (S_k spread_k)²`. For each attribute bisection finds the constant
+/// `c` whose mean width is nearest to `mean_bits`. Attributes are not weighed against each other: `S` sums signed
+/// changes of pixels, so the effect of an attribute that moves edges (rotations, scales) cancels in part, and the
+/// effect of an attribute that brightens (colours, opacities) does not.
 ///
 /// ```
 /// use tcgs_codec::{BitSettings, assign_bits};
@@ -247,7 +247,7 @@ fn assign_linear(sensitivity: &Sensitivity, settings: &BitSettings, map: &mut Bi
 }
 
 fn assign_log(sensitivity: &Sensitivity, stored: &Gaussians, settings: &BitSettings, map: &mut BitMap) {
-    // `[attribute][N]` of log2 w; minus infinity, hence the fewest bits, where nothing depends on the value.
+    // `[attribute][N]` of log2 w. Minus infinity, hence the fewest bits, if the images do not depend on the value.
     let of_column = |column: &Column| -> Vec<f64> {
         if !column.quantized {
             return Vec::new();
@@ -270,7 +270,7 @@ fn assign_log(sensitivity: &Sensitivity, stored: &Gaussians, settings: &BitSetti
         let mean_bits = |c: f64| -> f64 {
             weights.iter().map(|&w| usize::from(width(w, c))).sum::<usize>() as f64 / weights.len().max(1) as f64
         };
-        // Far enough for any products of two `f32`. The mean rises with c.
+        // Wide enough for any products of two `f32`. The mean rises with c.
         let (mut low, mut high) = (-400.0, 400.0);
         for _ in 0..60 {
             let middle = 0.5 * (low + high);
@@ -339,7 +339,7 @@ mod tests {
         };
         let log = assign_bits(&sensitivity, &stored, &BitSettings { mean_bits: 6.0, ..Default::default() }).unwrap();
         let uniform = BitMap::uniform(500, 16, 6);
-        // The same widths, given to others.
+        // The same widths, assigned to other Gaussians.
         let mut shifted = log.clone();
         shifted.widths.iter_mut().for_each(|w| w.rotate_left(123));
         for a in mixed(&Layout::base()) {
@@ -374,7 +374,7 @@ mod tests {
     #[test]
     fn linear_mapping_is_the_papers() {
         let (mut sensitivity, stored) = (Sensitivity::zeros(3), Gaussians::zeros(3));
-        sensitivity.means_mut()[0] = [100.0; 3]; // positions take no part
+        sensitivity.means_mut()[0] = [100.0; 3]; // positions are excluded
         sensitivity.colors_mut()[0] = [0.0, 8.0, 1.0];
         sensitivity.colors_mut()[1] = [0.0, 3.0, 1.0];
         let map =

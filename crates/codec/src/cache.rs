@@ -1,5 +1,6 @@
-//! Decoded segments of one cohort within a bound on their memory, for readers of timesteps in any order. A player, which
-//! knows what it shows next, keeps its own (`play/src/holdings.rs`). The cache neither reads nor decodes; its caller does.
+//! Decoded segments of one cohort within a memory bound, for readers of timesteps in any order. A player knows which
+//! segment it needs next, so it has a cache of its own (`play/src/holdings.rs`). The cache neither reads nor decodes;
+//! its caller does.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -31,7 +32,7 @@ use crate::bitstream::Segment;
 pub struct SegmentCache {
     max_bytes: usize,
     held: BTreeMap<usize, Held>,
-    /// Bytes of the largest segment seen: what another is expected to take.
+    /// Bytes of the largest segment so far: the expected size of another one.
     largest: usize,
     /// Calls of [`Self::recall`] and [`Self::insert`] so far.
     num_uses: u64,
@@ -56,7 +57,7 @@ impl SegmentCache {
         Self { max_bytes, held: BTreeMap::new(), largest: 0, num_uses: 0 }
     }
 
-    /// The segment of index `segment`, if the cache holds it.
+    /// The segment with index `segment`, if the cache holds it.
     pub fn recall(&mut self, segment: usize) -> Option<&Arc<Segment>> {
         let held = self.held.get_mut(&segment)?;
         self.num_uses += 1;
@@ -69,8 +70,8 @@ impl SegmentCache {
         self.held.values().map(|held| held.segment.bytes()).sum()
     }
 
-    /// Evicts segments before another one is decoded, so that the held segments and the decoded one together keep the
-    /// bound. Makes room for the largest segment inserted so far, since the size of the new one is not known yet.
+    /// Evicts segments before another one is decoded, so that the held segments and the new one together keep the
+    /// bound. The size of the new segment is unknown, so the cache assumes that of the largest segment so far.
     pub fn make_room(&mut self) {
         self.evict(self.largest);
     }
@@ -85,7 +86,7 @@ impl SegmentCache {
         self.held.insert(index, Held { segment, last_use: self.num_uses });
     }
 
-    /// Evicts segments until there is room for `bytes`, or none is left.
+    /// Evicts segments until `bytes` fit, or none is left.
     fn evict(&mut self, bytes: usize) {
         while self.bytes() + bytes > self.max_bytes {
             let oldest = self.held.iter().min_by_key(|(_, held)| held.last_use).map(|(&index, _)| index);

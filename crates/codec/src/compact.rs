@@ -1,8 +1,8 @@
 //! The compact scene: keypoints as codes, and the floats that the codes stand for.
 //!
-//! [`CompactScene::check`] holds the rules that every compact scene obeys, whether [`compress`](crate::compress()) made
-//! it or a file. Entropy coding and the layout of a file are the subject of `bitstream`, the way from floats to codes
-//! that of `compress`.
+//! [`CompactScene::check`] holds the rules that every compact scene obeys, whether it comes from
+//! [`compress`](crate::compress()) or from a file. Entropy coding and the layout of a file are the subject of
+//! `bitstream`, the conversion from floats to codes that of `compress`.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use crate::keypoints::sample;
 use crate::parallel;
 use crate::quantize::{MAX_BITS, Quantizer, Quantizers};
 
-/// Most timesteps of a [`CompactScene`]: a keypoint's time has 16 bits.
+/// Largest number of timesteps of a [`CompactScene`]: a keypoint's time has 16 bits.
 pub(crate) const MAX_TIMESTEPS: u32 = 1 << 16;
 
 /// Counts and provenance of a scene: the fields of the section `INFO` (`docs/FORMAT.md`) that describe the scene.
@@ -33,7 +33,7 @@ pub struct SceneInfo {
     pub num_gaussians: u32,
     /// `T`, the number of timesteps, at least 1; at most 65536 in a file of version 1 and in a [`CompactScene`].
     pub num_timesteps: u32,
-    /// Number of the frame of the capture at timestep 0.
+    /// Frame number of the capture at timestep 0.
     pub first_frame: u32,
     /// Timesteps per second, finite; 0 if unknown.
     pub frame_rate: f32,
@@ -62,7 +62,7 @@ pub enum ColorSpace {
 }
 
 impl ColorSpace {
-    /// All colour spaces, by their number in a file.
+    /// All colour spaces, in the order of their numbers in a file.
     pub(crate) const ALL: [Self; 2] = [Self::Srgb, Self::LinearSrgb];
 }
 
@@ -82,7 +82,7 @@ pub enum UpAxis {
 }
 
 impl UpAxis {
-    /// All axes, by their number in a file.
+    /// All axes, in the order of their numbers in a file.
     pub(crate) const ALL: [Self; 7] =
         [Self::Unknown, Self::PlusX, Self::PlusY, Self::PlusZ, Self::MinusX, Self::MinusY, Self::MinusZ];
 
@@ -91,8 +91,8 @@ impl UpAxis {
         ["unknown", "x", "y", "z", "-x", "-y", "-z"][self as usize]
     }
 
-    /// Unit vector along the axis, in world space. [`Self::Unknown`] gives that of [`Self::MinusY`], the
-    /// convention of captures.
+    /// Unit vector along the axis, in world space. [`Self::Unknown`] gives that of [`Self::MinusY`], the convention of
+    /// captures.
     ///
     /// ```
     /// use tcgs_codec::UpAxis;
@@ -204,7 +204,7 @@ impl<V: Copy> Tracks<V> {
         (&self.times[range.clone()], &self.values[range])
     }
 
-    /// All tracks, one after another, with values to change.
+    /// All tracks, one after another, with mutable values.
     ///
     /// - returns: `[tracks + 1]`, keypoints of track `i` are `starts[i]..starts[i + 1]`; `[keypoints]` timesteps;
     ///   `[keypoints]` values
@@ -235,13 +235,13 @@ impl<V: Copy> Tracks<V> {
     }
 }
 
-/// A compressed scene before entropy coding, or one cohort of it: the keypoints of every track as codes, the bit widths
-/// and quantizers that turn codes into floats, and the division into layers and segments.
+/// A compressed scene before entropy coding, or one cohort of it. It holds the keypoints of every track as codes, the
+/// bit widths and quantizers that convert codes to floats, and the division into layers and segments.
 ///
 /// [`compress`](crate::compress()) makes it from floats, [`decode`](crate::decode()) from a file;
 /// [`encode`](crate::encode()) writes it. A file of version 2 holds any number of them
 /// ([`encode_cohorts`](crate::encode_cohorts()), [`decode_cohorts`](crate::decode_cohorts())). A program may also fill
-/// the fields: encoding refuses a scene that breaks a rule, the other methods may panic on one.
+/// the fields itself: encoding refuses a scene that breaks a rule, the other methods may panic on one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CompactScene {
     /// Columns of the Gaussians. Version 1 of the format holds the columns of [`Attribute::BASE`] only.
@@ -250,21 +250,21 @@ pub struct CompactScene {
     pub info: SceneInfo,
     /// Timestep of the whole scene at which timestep 0 of this one lies; 0 in a file of version 1.
     pub start: u32,
-    /// `[N]` first and last timestep at which each Gaussian lives; none if all live in all timesteps, as they do in a
-    /// file of version 1.
+    /// `[N]` first and last timestep at which each Gaussian lives; `None` if all live in all timesteps, as in a file of
+    /// version 1.
     pub lives: Option<Vec<[u16; 2]>>,
-    /// Width of the codes of every attribute of every Gaussian, in bits. 0 stands for a column beyond
+    /// Width of the codes of every attribute of every Gaussian, in bits. Width 0 marks a column beyond
     /// [`Attribute::BASE`] that the Gaussian lacks: its values are 0.
     pub bit_map: BitMap,
-    /// Quantizers: for every attribute and width in use one for each component.
+    /// Quantizers: one per component for every attribute and width in use.
     pub quantizers: Quantizers,
     /// By [`Attribute::index`]: whether tracks of the attribute may have more than one keypoint.
     pub varies: Vec<bool>,
     /// Number of Gaussians of each layer, the most important layer first; the first layers alone are a coarser scene.
     /// The layers divide the Gaussians in their order: at most 65535 layers, none empty, with the sum `N`.
     pub layers: Vec<u32>,
-    /// Number of timesteps of a segment, 1 to 65536; the last segment may be shorter. A segment decodes without the
-    /// other segments.
+    /// Number of timesteps of a segment, 1 to 65536; the last segment may be shorter. Each segment decodes
+    /// independently of the others.
     pub segment_length: u32,
     /// By [`Attribute::index`]: `[N * components]` tracks of codes.
     pub tracks: Vec<Tracks<i16>>,
@@ -273,7 +273,7 @@ pub struct CompactScene {
 /// How a scene breaks the rules of [`CompactScene::check`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Violation {
-    /// Attribute whose codes, widths or quantizers break the rule; none for a rule of the whole scene.
+    /// Attribute whose codes, widths or quantizers break the rule; `None` for a rule of the whole scene.
     pub(crate) attribute: Option<Attribute>,
     pub(crate) field: &'static str,
     pub(crate) problem: &'static str,
@@ -296,7 +296,7 @@ impl CompactScene {
     /// - returns: `T` timesteps; scales and opacities are held once if they do not vary
     pub fn reconstruct(&self) -> DynamicGaussians {
         let over_time = |attribute| (0..self.num_timesteps()).map(move |t| self.values_at(attribute, t));
-        // Scales and opacities that do not vary are held once.
+        // Scales and opacities that do not vary are stored once.
         let once = |attribute: Attribute| {
             let varies = self.varies[attribute.index()] || self.layout.column(attribute).varies;
             if varies { self.num_timesteps() } else { 1 }
@@ -305,8 +305,8 @@ impl CompactScene {
         DynamicGaussians::from_samples(Arc::clone(&self.layout), self.num_timesteps(), samples.collect())
     }
 
-    /// One timestep as floats, in stored form: the same values as [`Self::reconstruct`] gives at the timestep. A Gaussian
-    /// that does not live at it has the values of its first or last timestep.
+    /// One timestep as floats, in stored form: the same values as [`Self::reconstruct`] gives at the timestep. A
+    /// Gaussian that does not live at the timestep has the values of its first or last timestep.
     ///
     /// # Panics
     /// If `timestep` is not below [`Self::num_timesteps`].
@@ -322,8 +322,8 @@ impl CompactScene {
         life.is_none_or(|[first, last]| (first..=last).contains(&timestep))
     }
 
-    /// Those of the Gaussians that live at a timestep of the whole scene, as [`Self::at`] gives them; none if the cohort
-    /// does not reach to it.
+    /// The Gaussians that live at a timestep of the whole scene, with the values of [`Self::at`]; `None` if the cohort
+    /// does not span the timestep.
     pub fn alive_at(&self, timestep: usize) -> Option<Gaussians> {
         let now = timestep.checked_sub(self.start as usize).filter(|&now| now < self.num_timesteps())?;
         let all = self.at(now);
@@ -331,7 +331,7 @@ impl CompactScene {
         Some(alive.map_or(all.clone(), |alive: Vec<usize>| all.select(&alive)))
     }
 
-    /// `[N * components]` of one attribute at one timestep.
+    /// `[N * components]` values of one attribute at one timestep.
     fn values_at(&self, attribute: Attribute, timestep: usize) -> Vec<f32> {
         let components = attribute.components();
         let quantizers = self.quantizers.by_width(attribute);
@@ -359,9 +359,9 @@ impl CompactScene {
         self.tracks.iter().map(mean).collect()
     }
 
-    /// Checks the rules of the format: counts agree, every width in use has quantizers, the timesteps of a track rise
-    /// strictly from the first to the last of its Gaussian's life (a constant track has the timestep 0 alone), codes fit
-    /// their widths.
+    /// Checks the rules of the format. Counts agree, every width in use has quantizers, and codes fit their widths. The
+    /// timesteps of a track rise strictly from the first to the last of its Gaussian's life; a constant track has only
+    /// the timestep 0.
     pub(crate) fn check(&self) -> Result<(), Violation> {
         self.info.check(1)?;
         check_division(self.info.num_gaussians, &self.layers, self.segment_length)?;
@@ -467,7 +467,7 @@ pub(crate) fn check_division(num_gaussians: u32, layers: &[u32], segment_length:
 /// The quaternion divided by its length; the identity if the length is zero.
 pub(crate) fn unit_quat(quat: [f32; 4]) -> [f32; 4] {
     let unit = normalize(quat);
-    // Lengths below about 1e-19 vanish when squared: left as they are by `normalize`.
+    // Lengths below about 1e-19 vanish when squared: `normalize` does not change such a quaternion.
     if unit.iter().map(|x| x * x).sum::<f32>() > 0.5 { unit } else { [1.0, 0.0, 0.0, 0.0] }
 }
 

@@ -1,4 +1,4 @@
-//! All codes of a file: its cohorts, and what describes them together.
+//! All codes of a file: its cohorts and their common description.
 
 use std::sync::Arc;
 
@@ -10,7 +10,7 @@ use crate::compact::{CompactScene, SceneInfo};
 use crate::error::DecodeError;
 use crate::limits::DecodeLimits;
 
-/// A compressed scene before entropy coding: one [`CompactScene`], or several that begin and end at other timesteps.
+/// A compressed scene before entropy coding: one [`CompactScene`], or several with different spans of timesteps.
 ///
 /// ```
 /// use tcgs_codec::{BitMap, CompactFile, CompressSettings, DecodeLimits, SceneInfo, compress};
@@ -26,19 +26,19 @@ use crate::limits::DecodeLimits;
 /// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct CompactFile {
-    /// Of the whole scene; its counts are those of all cohorts together.
+    /// Description of the whole scene; its counts are those of all cohorts together.
     pub info: SceneInfo,
     /// By ascending [`CompactScene::start`], all with the same layout.
     pub cohorts: Vec<CompactScene>,
-    /// By name of the attribute: the largest error against what was compressed, as
-    /// [`AttributeErrors::declared`](crate::AttributeErrors::declared) gives it. Version 1 of the format does not hold them.
+    /// By name of the attribute: the largest error against the compressed scene, from
+    /// [`AttributeErrors::declared`](crate::AttributeErrors::declared). Version 1 of the format does not hold them.
     pub declared_errors: Vec<(String, f32)>,
     /// Gains of all colours over time. [`Self::at`] does not apply them.
     pub light: Light,
 }
 
 impl CompactFile {
-    /// One scene, all of whose Gaussians are described together.
+    /// A file of one scene, whose Gaussians are described together.
     pub fn of(scene: CompactScene) -> Self {
         Self { info: scene.info.clone(), cohorts: vec![scene], declared_errors: Vec::new(), light: Light::default() }
     }
@@ -53,7 +53,7 @@ impl CompactFile {
     pub fn decode(file: &[u8], limits: &DecodeLimits) -> Result<Self, DecodeError> {
         let (archive, cohorts) = decode_archive(file, limits)?;
         let (info, declared_errors) = (archive.info().clone(), archive.declared_errors().to_vec());
-        // Sounds are longer than light ever is.
+        // Other application data, such as sounds, may be larger than the light ever is.
         let is_short = |(_, data): &(String, &[u8])| data.len() <= MAX_BYTES;
         let of_light = archive.application_data_in(file)?.into_iter().filter(is_short);
         let data: Vec<_> = of_light.map(|(name, data)| (name, data.to_vec())).collect();
@@ -63,11 +63,11 @@ impl CompactFile {
     /// Encodes a `.tcgs` file.
     ///
     /// - `version`: of the format, 1 or 2
-    /// - `data`: name and content of each piece of application data; those of the light are added
+    /// - `data`: name and content of each piece of application data; the light is added to them
     ///
     /// # Errors
-    /// [`CompressError::Unsupported`](crate::CompressError::Unsupported) if the version does not hold the scene; else as
-    /// [`encode_with`](crate::encode_with()) and [`FileWriter::declaring`](crate::FileWriter::declaring).
+    /// [`CompressError::Unsupported`](crate::CompressError::Unsupported) if the version does not hold the scene; else
+    /// as [`encode_with`](crate::encode_with()) and [`FileWriter::declaring`](crate::FileWriter::declaring).
     #[cfg(feature = "encode")]
     pub fn encode(&self, version: u16, data: &[(&str, &[u8])]) -> Result<Vec<u8>, crate::CompressError> {
         let light = (self.light != Light::default()).then(|| self.light.to_json());
@@ -89,7 +89,7 @@ impl CompactFile {
         }
     }
 
-    /// The oldest version of the format that holds the scene, though without its declared errors.
+    /// The oldest version of the format that holds the scene, though perhaps not its declared errors.
     pub fn oldest_version(&self) -> u16 {
         match &self.cohorts[..] {
             [only]
@@ -136,7 +136,7 @@ impl CompactFile {
         (0..self.layout().columns().len()).map(sum).collect()
     }
 
-    /// Mean width of all codes, in bits, over Gaussians.
+    /// Mean width of all codes over Gaussians, in bits.
     pub fn mean_bits(&self) -> f64 {
         let weighted: f64 = self.cohorts.iter().map(|c| c.bit_map.mean_bits() * c.num_gaussians() as f64).sum();
         weighted / self.num_gaussians().max(1) as f64

@@ -1,4 +1,4 @@
-//! Errors of both directions: [`DecodeError`] for bytes that are no scene, [`CompressError`] for scenes and settings
+//! Errors of both directions: [`DecodeError`] for bytes that are not a scene, [`CompressError`] for scenes and settings
 //! that cannot become bytes.
 //!
 //! A caller's mistake in an argument that no file controls, such as a timestep beyond the last, panics instead.
@@ -23,22 +23,22 @@ pub enum DecodeError {
         /// The rule that is broken.
         problem: &'static str,
     },
-    /// The file is of a version of the format that this decoder does not know. A newer program may read it.
+    /// The file has a version of the format that this decoder does not know. A newer program may read it.
     #[error("invalid version in header at byte 4: found {found}, expected {expected}")]
     Version {
         /// Version of the file.
         found: u16,
-        /// The only version known, [`FORMAT_VERSION`](crate::FORMAT_VERSION).
+        /// The newest version known, [`FORMAT_VERSION`](crate::FORMAT_VERSION).
         expected: u16,
     },
     /// Decoding would exceed [`DecodeLimits`](crate::DecodeLimits). A caller who trusts the file may raise the limit.
     #[error("{what} needs {needed} {unit}, limit is {limit}")]
     Limit {
-        /// What exceeds the limit, such as `scene` or `keypoints`.
+        /// The quantity that exceeds the limit, such as `scene` or `keypoints`.
         what: &'static str,
         /// Unit of `needed` and `limit`: `bytes`, `Gaussians` or `timesteps`.
         unit: &'static str,
-        /// Amount that the file asks for, in `unit`.
+        /// Amount that the file needs, in `unit`.
         needed: u64,
         /// Amount that the limits allow, in `unit`.
         limit: u64,
@@ -47,18 +47,17 @@ pub enum DecodeError {
 
 /// Problem of a file that was cut.
 pub(crate) const ENDS_EARLY: &str = "the file ends early";
-/// Problem of a value that a later addition to the format may give a meaning.
+/// Problem of a value that a later addition to the format may define.
 pub(crate) const NEWER: &str = "not known to this decoder; a newer one may read the file";
 
 impl DecodeError {
-    /// Whether the file ends before its last section does. [`SceneFile::recover`](crate::SceneFile::recover) reads what is
-    /// whole of such a file.
+    /// Whether the file ends before the end of its last section. [`SceneFile::recover`](crate::SceneFile::recover)
+    /// reads the intact part of such a file.
     pub fn is_cut(&self) -> bool {
         matches!(self, Self::Format { problem: ENDS_EARLY, .. })
     }
 
-    /// Whether the file is of a version, or uses an addition to one, that this decoder does not know: a newer one may read
-    /// it.
+    /// Whether the file has an unknown version, or an unknown addition to a known one: a newer decoder may read it.
     pub fn is_newer(&self) -> bool {
         matches!(self, Self::Version { .. } | Self::Format { problem: NEWER, .. })
     }
@@ -68,7 +67,7 @@ impl DecodeError {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CompressError {
-    /// A number is outside what is legal for it, or not finite.
+    /// A number is outside its legal range, or not finite.
     #[error("invalid {what}: found {found}, expected {expected}")]
     Value {
         /// Name of the number.
@@ -85,7 +84,7 @@ pub enum CompressError {
         what: String,
         /// Index of the Gaussian.
         gaussian: usize,
-        /// Timestep of the value; none if the value holds for all timesteps.
+        /// Timestep of the value; `None` if the value holds for all timesteps.
         timestep: Option<usize>,
         /// The illegal value.
         found: f64,
@@ -99,7 +98,7 @@ pub enum CompressError {
         what: String,
         /// Count in the argument at fault.
         found: usize,
-        /// Count in the other argument, or the most that the format holds.
+        /// Count in the other argument, or the largest that the format holds.
         expected: usize,
     },
     /// A step, an offset and a width do not make a quantizer: see [`Quantizer::problem`](crate::Quantizer::problem).
@@ -142,7 +141,8 @@ pub enum CompressError {
         /// Columns of the scene.
         expected: String,
     },
-    /// The scene has a column that the version of the format does not hold, Gaussians that come and go, or antialiased ones.
+    /// The scene has a column that the version of the format does not hold, or Gaussians with lives, or antialiased
+    /// Gaussians.
     #[error(
         "version {version} of the format holds means, quats, log_scales, logit_opacities and colors of Gaussians that \
          live in all timesteps and are drawn without antialiasing; found {found}"
@@ -150,7 +150,7 @@ pub enum CompressError {
     Unsupported {
         /// Version of the format.
         version: u16,
-        /// Name of the first column that the version does not hold, or what else it does not hold, in words.
+        /// Name of the first column that the version does not hold, or another unsupported property in words.
         found: String,
     },
     /// The destination of the bytes failed.

@@ -7,16 +7,16 @@ use crate::error::CompressError;
 
 /// Selects the samples of a track to keep as keypoints (the paper's Algorithm 1).
 ///
-/// The selection starts with the first and the last sample. While the mean squared error of linear interpolation
-/// between keypoints, over all samples, exceeds `max_mse`, and fewer than `max_keypoints` are selected, the selection
-/// adds the sample of the largest squared error (of equal errors the earliest sample).
+/// The selection starts with the first and the last sample. In each step it adds the sample of the largest squared
+/// error of linear interpolation between keypoints; of equal errors the earliest. It stops when the mean squared error
+/// over all samples is at most `max_mse`, or when `max_keypoints` are selected.
 ///
 /// - `track`: `[T]` values, finite
 /// - `max_keypoints`: a number below 2 counts as 2
 /// - `max_mse`: mean squared error, in the squared unit of the track, 0 or more; may be infinite
 /// - returns: `[K]` indices of samples, strictly increasing; no index for an empty track, `[0]` for a single sample
 ///
-/// The mean squared error may rise when a keypoint is added, so another selection of as many keypoints may be better.
+/// The mean squared error may rise when a keypoint is added, so another selection of the same size may be better.
 ///
 /// ```
 /// let track = [0.0, 1.0, 2.0, 1.0, 0.0];
@@ -42,8 +42,8 @@ pub fn select(track: &[f32], max_keypoints: usize, max_mse: f32) -> Result<Vec<u
 ///
 /// Simple version: after each added keypoint interpolate the whole track, and find the mean and the largest of the
 /// squared errors. Departures: (1) only the interval that the keypoint splits is interpolated again; the squared errors
-/// elsewhere are kept. (2) The sum over all samples is computed anew each time, always in the order of [`sum`], so that
-/// every decision equals that of the simple version to the last bit.
+/// elsewhere are kept. (2) The sum over all samples is computed from scratch each time, always in the order of [`sum`],
+/// so that every decision equals that of the simple version to the last bit.
 #[derive(Default)]
 pub(crate) struct Selector {
     squared_errors: Vec<f64>,
@@ -83,7 +83,7 @@ impl Selector {
             let worst = index_of_largest(&self.squared_errors);
             let at = self.indices.partition_point(|&i| i < worst);
             if self.indices[at] == worst {
-                // No error is left.
+                // All errors are zero.
                 break;
             }
             let (before, after) = (self.indices[at - 1], self.indices[at]);
@@ -95,7 +95,7 @@ impl Selector {
         &self.indices
     }
 
-    /// Squared errors strictly between two keypoints; at a keypoint the error is exactly zero.
+    /// Computes the squared errors strictly between two keypoints; at a keypoint the error is exactly zero.
     fn interpolate(&mut self, tracks: &[&[f32]], weights: &[f64], first: usize, last: usize) {
         let inner = first + 1..last;
         self.squared_errors[inner.clone()].fill(0.0);
@@ -111,7 +111,7 @@ impl Selector {
     }
 }
 
-/// Values at keypoints for which the line through them has the least squared error over all samples.
+/// Least-squares values at keypoints: their linear interpolation has the least squared error over all samples.
 ///
 /// - `track`: `[T]`
 /// - `indices`: `[K]`, ascending from 0 to `T - 1`
@@ -121,7 +121,7 @@ pub(crate) fn fit_values(track: &[f32], indices: &[usize]) -> Vec<f32> {
     if count < 2 {
         return indices.iter().map(|&i| track[i]).collect();
     }
-    // Normal equations: each sample lies between two keypoints, so only neighbours meet.
+    // Normal equations. Each sample lies between two keypoints, so the matrix is tridiagonal.
     let (mut diagonal, mut beside, mut right) = (vec![0.0_f64; count], vec![0.0_f64; count - 1], vec![0.0_f64; count]);
     for (k, pair) in indices.windows(2).enumerate() {
         let length = (pair[1] - pair[0]) as f64;

@@ -1,14 +1,14 @@
-//! Labels: which Gaussian of a file belongs to which object. They are application data named [`LABELS`]
-//! (`docs/FORMAT.md`, "Labels").
+//! Labels assign Gaussians of a file to objects. They are application data named [`LABELS`] (`docs/FORMAT.md`,
+//! "Labels").
 
 use serde::{Deserialize, Serialize};
 
 /// Name of the application data that assign Gaussians to objects.
 pub const LABELS: &str = "tcgs.labels";
-/// Name of the object that is the foreground of a capture.
+/// Name of the object that marks the foreground of a capture.
 pub const FOREGROUND: &str = "foreground";
 
-/// Longest text that is read. Parsed runs take three times the memory of their text.
+/// Longest text that is parsed. Parsed runs take three times the memory of their text.
 const MAX_BYTES: usize = 1 << 24;
 
 /// Objects, and the Gaussians of each.
@@ -24,8 +24,7 @@ const MAX_BYTES: usize = 1 << 24;
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub struct Labels {
     objects: Vec<String>,
-    /// Runs of Gaussians in the order of the file: how many, and the index of their object, or -1 if they belong to
-    /// none.
+    /// Runs of Gaussians in the order of the file: length, and index of their object; -1 for no object.
     runs: Vec<(u32, i64)>,
 }
 
@@ -41,12 +40,12 @@ impl Labels {
         Self { objects: vec![name.into()], runs }
     }
 
-    /// The data that a file holds.
+    /// Encodes the labels as application data.
     pub fn to_json(&self) -> Vec<u8> {
         serde_json::to_vec(self).expect("texts and numbers are JSON")
     }
 
-    /// Whether each Gaussian belongs to an object; none if there is no object of the name.
+    /// Whether each Gaussian belongs to an object; `None` if no object has the name.
     ///
     /// - `num_gaussians`: `N`
     /// - returns: `[N]`, in the order of the file
@@ -62,7 +61,7 @@ impl Labels {
     }
 }
 
-/// Objects of a scene; none if the file names none, or if its data are wrong.
+/// Objects of a scene; `None` if the file names none, or if its data are invalid.
 ///
 /// - `data`: names and bytes of application data, in the order of the file
 pub fn read_labels(data: &[(String, Vec<u8>)]) -> Option<Labels> {

@@ -1,9 +1,9 @@
 //! Compression of dynamic Gaussians and the `.tcgs` container.
 //!
-//! A scene has three representations: floats ([`tcgs_core::DynamicGaussians`]), codes ([`CompactScene`]: keypoints, bit
-//! widths, quantizers; [`CompactFile`] for several of them) and bytes (a `.tcgs` file, `docs/FORMAT.md`). [`compress()`] and [`CompactScene::reconstruct`]
-//! convert between floats and codes; [`compress()`] is lossy. [`encode`] and [`decode`] convert between codes and bytes
-//! without loss.
+//! A scene has three representations. Floats are [`tcgs_core::DynamicGaussians`]. Codes are [`CompactScene`]
+//! (keypoints, bit widths, quantizers), and [`CompactFile`] for several of them. Bytes are a `.tcgs` file
+//! (`docs/FORMAT.md`). [`compress()`] and [`CompactScene::reconstruct`] convert between floats and codes;
+//! [`compress()`] is lossy. [`encode`] and [`decode`] convert between codes and bytes without loss.
 //!
 //! | a program wants to | entry point |
 //! |---|---|
@@ -35,7 +35,7 @@
 //! decodes with several threads.
 
 #![forbid(unsafe_code)]
-// Both directions are written side by side; for decoding alone one of them is idle.
+// Code for both directions is written once, so decoding alone leaves some of it unused.
 #![cfg_attr(not(feature = "encode"), allow(dead_code))]
 
 mod accounting;

@@ -1,4 +1,4 @@
-//! Bounds on the memory and the counts that a file may ask for. Decoders check them before they allocate.
+//! Bounds on the memory and the counts that a file may request. Decoders check them before they allocate.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -21,14 +21,14 @@ use crate::error::DecodeError;
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DecodeLimits {
-    /// Most Gaussians of a scene. Default 16,777,216: forty times a large scene.
+    /// Largest number of Gaussians of a scene. Default 16,777,216: forty times a large scene.
     pub max_gaussians: u32,
-    /// Most timesteps of a scene. Default 65,536, the most that the format can hold.
+    /// Largest number of timesteps of a scene. Default 65,536, the most that the format can hold.
     pub max_timesteps: u32,
-    /// Most memory for the decoded scene and for decoding, in bytes. Default 4 GiB.
+    /// Largest memory of the decoded scene and of decoding, in bytes. Default 4 GiB.
     pub max_bytes: u64,
-    /// Most bytes of memory for each byte of the file, beyond [`Self::FREE_BYTES`]: refuses decompression bombs.
-    /// Default 1024; real scenes need about ten.
+    /// Largest number of bytes of memory per byte of the file, beyond [`Self::FREE_BYTES`]: refuses decompression
+    /// bombs. Default 1024; real scenes need about ten.
     pub max_expansion: u32,
 }
 
@@ -48,8 +48,8 @@ impl Default for DecodeLimits {
     }
 }
 
-/// Memory charged against [`DecodeLimits`] while one file is decoded. Memory that is freed is not given back: the sum
-/// of all allocations bounds their peak.
+/// Memory charged against [`DecodeLimits`] while one file is decoded. Freed memory is not credited: the sum of all
+/// allocations bounds their peak.
 #[derive(Debug)]
 pub(crate) struct Budget {
     limit: u64,
@@ -63,12 +63,12 @@ impl Budget {
         Self { limit: limits.max_bytes.min(expanded), used: AtomicU64::new(0) }
     }
 
-    /// A budget with the memory that is left now, for allocations that do not outlive the decoding of a part.
+    /// A budget with the remaining memory, for allocations that do not outlive the decoding of a part.
     pub(crate) fn fork(&self) -> Self {
         Self { limit: self.limit, used: AtomicU64::new(self.used.load(Ordering::Relaxed)) }
     }
 
-    /// Charges the memory of `count` values of `size` bytes; called before the allocation.
+    /// Charges the memory of `count` values of `size` bytes; call it before the allocation.
     ///
     /// # Errors
     /// [`DecodeError::Limit`] if the sum of all charges exceeds the limit.
@@ -77,7 +77,7 @@ impl Budget {
         let used = self.used.fetch_add(bytes, Ordering::Relaxed);
         let needed = used.saturating_add(bytes);
         if needed > self.limit || used > self.limit {
-            // Nothing is allocated any more, and the sum must not wrap around.
+            // Nothing is allocated after a failure, and the sum must not wrap around.
             self.used.fetch_sub(bytes, Ordering::Relaxed);
             return Err(DecodeError::Limit { what, unit: "bytes", needed, limit: self.limit });
         }

@@ -2,7 +2,7 @@
 //!
 //! One quantizer serves all values of one attribute, component and bit width. The paper's quantizer (LSQ, Esser et al.
 //! 2020) has no offset; colours and opacities lie on one side of zero and would leave half of its signed range unused.
-//! Which width a Gaussian gets is the subject of `bits`; training through a quantizer lives in the crate `tcgs-train`.
+//! The width of each Gaussian is the subject of `bits`; training through a quantizer lives in the crate `tcgs-train`.
 
 use std::collections::BTreeMap;
 
@@ -17,7 +17,7 @@ pub const MAX_BITS: u8 = 16;
 /// `[-2^(bits-1), 2^(bits-1) - 1]`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quantizer {
-    /// Distance of the values of neighbouring codes, in the unit of the attribute; finite and positive.
+    /// Distance between the values of neighbouring codes, in the unit of the attribute; finite and positive.
     pub step: f32,
     /// Value of code 0, in the unit of the attribute; finite.
     pub offset: f32,
@@ -25,22 +25,22 @@ pub struct Quantizer {
     pub bits: u8,
 }
 
-/// A step is at least this fraction of the largest value, two units in its last place, so that every
-/// code stands for another float and `quantize(dequantize(c)) == c`.
+/// Least step relative to the largest value: two units in its last place, so that every code stands for a different
+/// float and `quantize(dequantize(c)) == c`.
 const MIN_RELATIVE_STEP: f64 = 1.0 / (1 << 22) as f64;
-/// The step where all values are zero.
+/// The step if all values are zero.
 const MIN_STEP: f64 = 1e-30;
-/// [`Quantizer::fit`] judges its candidates on at most this many values, evenly taken.
+/// Largest number of values on which [`Quantizer::fit`] judges its candidates, evenly sampled.
 const FIT_SAMPLE: usize = 1 << 14;
-/// Ranges that [`Quantizer::fit`] tries: the distance of each bound to the median, times a power of this.
+/// Base of the ranges that [`Quantizer::fit`] tries: the distance of each bound to the median, times a power of this.
 const SHRINK: f64 = 0.87;
-/// The highest power; 0.87^24 = 0.035.
+/// Number of powers; the highest is 0.87^24 = 0.035.
 const NUM_SHRINKS: usize = 25;
-/// Rounds of assigning codes and solving for the best step and offset; more gained below 0.1 %.
+/// Rounds of assigning codes and solving for the best step and offset; more rounds gained below 0.1 %.
 const NUM_REFITS: usize = 8;
 
 impl Quantizer {
-    /// A quantizer of given step, offset (both in the unit of the attribute) and width in bits.
+    /// A quantizer of a given step, offset (both in the unit of the attribute) and width in bits.
     ///
     /// # Errors
     /// [`CompressError::Quantizer`] if [`Self::problem`] finds a broken rule.
@@ -52,8 +52,8 @@ impl Quantizer {
         }
     }
 
-    /// The rule that the fields break: step positive and finite, offset finite, width within 1 to 16 bits. None if they
-    /// break no rule.
+    /// The rule that the fields break: step positive and finite, offset finite, width within 1 to 16 bits. `None` if
+    /// they break no rule.
     pub fn problem(&self) -> Option<&'static str> {
         if !(1..=MAX_BITS).contains(&self.bits) {
             Some("the width is not within 1 to 16 bits")
@@ -148,9 +148,9 @@ impl Quantizer {
 
     /// A quantizer of small squared error over `values`.
     ///
-    /// The search starts from [`Self::covering`]. It shrinks the range from either end, which clips outliers where a
-    /// finer step for the other values outweighs the clipping, and then alternates between assigning codes and solving
-    /// for the step and offset of least squares.
+    /// The search starts from [`Self::covering`]. It shrinks the range from either end, which clips outliers; this pays
+    /// where the finer step for the other values outweighs the clipping. Then it alternates between assigning codes and
+    /// solving for the step and offset of least squares.
     ///
     /// - `values`: in the unit of the attribute; of more than 16,384 values an evenly spaced sample is used
     /// - returns: a quantizer whose squared error over the values used is at most that of [`Self::covering`], and zero
@@ -306,7 +306,7 @@ impl Quantizers {
         Self { attributes: vec![BTreeMap::new(); layout.columns().len()] }
     }
 
-    /// The quantizer of component `channel` of an attribute at a width in bits; none if the width is not in use.
+    /// The quantizer of component `channel` of an attribute at a width in bits; `None` if the width is not in use.
     pub fn get(&self, attribute: Attribute, width: u8, channel: usize) -> Option<&Quantizer> {
         self.attributes.get(attribute.index())?.get(&width)?.get(channel)
     }
@@ -380,7 +380,7 @@ mod tests {
         says(Quantizer::fit(&[], 4), "invalid number of values to fit a quantizer to: found 0, expected 1");
         let message = "invalid value to fit a quantizer to: found inf, expected a finite number";
         says(Quantizer::fit(&[0.0, f32::INFINITY], 4), message);
-        // Finite, but further apart than a float says.
+        // Both bounds are finite, but their distance overflows a float.
         assert!(Quantizer::covering(f32::MIN, f32::MAX, 1).is_err());
         assert!(lsq_step(&[], 4).is_err() && lsq_step(&[1.0], 0).is_err());
     }

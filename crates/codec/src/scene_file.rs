@@ -1,7 +1,7 @@
 //! Random access to the timesteps of a `.tcgs` file: a segment is read and decoded when one of its timesteps is needed.
 //!
-//! Input comes from any `Read + Seek`. [`Archive`] offers the same without input of its own, for callers that fetch
-//! ranges of bytes.
+//! Input comes from any `Read + Seek`. [`Archive`] offers the same without its own input, for callers that fetch ranges
+//! of bytes.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Seek, SeekFrom};
@@ -17,13 +17,13 @@ use crate::compact::SceneInfo;
 use crate::error::{DecodeError, ENDS_EARLY};
 use crate::limits::DecodeLimits;
 
-/// Bytes read at first; the tables of most files fit.
+/// Number of bytes read first; the tables of most files fit.
 const OPENING_BYTES: u64 = 1 << 14;
 
 /// A `.tcgs` file with random access to timesteps.
 ///
-/// Memory holds of the cohorts that live at the timestep read last the shared layers, the most recently used segments
-/// ([`SegmentCache`], LRU), and the dequantised keypoints of the segment used last. Of other cohorts nothing is read.
+/// Memory holds only the cohorts that live at the timestep read last. For these it holds the shared layers, the most
+/// recently used segments ([`SegmentCache`], LRU), and the dequantised keypoints of the segment used last.
 ///
 /// ```
 /// use std::io::Cursor;
@@ -42,20 +42,20 @@ const OPENING_BYTES: u64 = 1 << 14;
 /// ```
 pub struct SceneFile<R> {
     source: R,
-    /// Counts of what can be read.
+    /// Description of the readable part of the scene.
     info: SceneInfo,
-    /// Layers that can be read of the only cohort; all if none.
+    /// Readable layers of the only cohort; `None` if all are.
     num_layers: Option<usize>,
     loss: Option<Loss>,
     layout: Arc<Layout>,
     archive: Archive,
     /// Bound on the memory of a cohort's segments.
     max_segment_bytes: usize,
-    /// Most Gaussians that live at a timestep.
+    /// Largest number of Gaussians that live at a timestep.
     most_gaussians: usize,
-    /// Those that live at the timestep read last.
+    /// The cohorts that live at the timestep read last.
     cohorts: BTreeMap<usize, OpenCohort>,
-    /// Once it was read.
+    /// The light, once it has been read.
     light: Option<Light>,
 }
 
@@ -63,36 +63,36 @@ pub struct SceneFile<R> {
 struct OpenCohort {
     cohort: Cohort,
     cache: SegmentCache,
-    /// Index of a segment and its keypoints as floats.
+    /// Index of the segment used last, and its keypoints as floats.
     sampler: Option<(usize, Sampler)>,
 }
 
-/// What a file that was cut has lost.
+/// Extent of a file before and after it was cut.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Loss {
-    /// Bytes of the file.
+    /// Bytes of the cut file.
     pub bytes: u64,
-    /// Bytes that the file had.
+    /// Bytes of the whole file.
     pub bytes_before: u64,
-    /// Timesteps that the file had; [`SceneFile::info`] counts those that are left.
+    /// Timesteps of the whole file; [`SceneFile::info`] counts those that are left.
     pub timesteps_before: u32,
-    /// Gaussians that the file had; [`SceneFile::info`] counts those that are left.
+    /// Gaussians of the whole file; [`SceneFile::info`] counts those that are left.
     pub gaussians_before: u32,
 }
 
 impl<R> SceneFile<R> {
-    /// Provenance of the scene, and counts of what can be read: those of [`Archive::info`], or fewer of a file that was
-    /// cut ([`Self::recover`]).
+    /// Provenance of the scene, and counts of its readable part. The counts are those of [`Archive::info`]; for a file
+    /// that was cut ([`Self::recover`]) they are smaller.
     pub fn info(&self) -> &SceneInfo {
         &self.info
     }
 
-    /// What the file has lost; none of a whole file.
+    /// Extent of the loss; `None` for a whole file.
     pub fn loss(&self) -> Option<&Loss> {
         self.loss.as_ref()
     }
 
-    /// What the start of the file says.
+    /// The archive from the start of the file.
     pub fn archive(&self) -> &Archive {
         &self.archive
     }
@@ -109,16 +109,16 @@ impl<R> SceneFile<R> {
 }
 
 impl<R: Read + Seek> SceneFile<R> {
-    /// Opens a file: reads what describes the scene and the shared layers of the first cohort, and no segment.
+    /// Opens a file. Reads the description of the scene and the shared layers of the first cohort, and no segment.
     ///
     /// - `source`: the file, from its first byte on
     /// - `limits`: bounds on memory and counts
-    /// - `max_segment_bytes`: bound on the memory of the decoded segments of each cohort that lives at a timestep, such as
-    ///   [`SegmentCache::DEFAULT_BYTES`]; a single segment may exceed the bound
+    /// - `max_segment_bytes`: bound on the memory of the decoded segments, for each cohort that lives at a timestep,
+    ///   such as [`SegmentCache::DEFAULT_BYTES`]; a single segment may exceed the bound
     ///
     /// # Errors
     /// - [`DecodeError::Io`] if the source cannot be read
-    /// - [`DecodeError::Format`] if the source is no `.tcgs` file, has another length than its header says, or is
+    /// - [`DecodeError::Format`] if the source is not a `.tcgs` file, has another length than its header says, or is
     ///   damaged before its segments
     /// - [`DecodeError::Version`] if the file is of another version
     /// - [`DecodeError::Limit`] if the file exceeds `limits`
@@ -127,9 +127,9 @@ impl<R: Read + Seek> SceneFile<R> {
         file.loss.map_or(Ok(file), |loss| Err(end_of_file(loss.bytes, ENDS_EARLY)))
     }
 
-    /// Opens a file that may have been cut, such as by a transfer that broke off, for what is whole of it: the
-    /// timesteps of the segments that are whole; if the first segment is not, its timesteps with the Gaussians of the
-    /// layers that are. A file that was not cut is read as by [`Self::open`].
+    /// Opens the intact part of a file that may have been cut, such as by an interrupted transfer. The intact part is
+    /// the timesteps of the whole segments. If even the first segment is not whole, it is that segment's timesteps with
+    /// the Gaussians of its whole layers. A whole file is read as by [`Self::open`].
     ///
     /// ```
     /// use std::io::Cursor;
@@ -150,7 +150,7 @@ impl<R: Read + Seek> SceneFile<R> {
     /// ```
     ///
     /// # Errors
-    /// As [`Self::open`], of a file that was cut only if nothing of its first segment is whole.
+    /// As [`Self::open`]. A file that was cut is an error only if its first segment has no whole layer.
     pub fn recover(mut source: R, limits: &DecodeLimits, max_segment_bytes: usize) -> Result<Self, DecodeError> {
         let length = source.seek(SeekFrom::End(0))?;
         let mut start = read(&mut source, 0..OPENING_BYTES.min(length))?;
@@ -222,10 +222,10 @@ impl<R: Read + Seek> SceneFile<R> {
         Ok(())
     }
 
-    /// Of a file that was cut: how many layers are whole, if not all, and how many timesteps.
+    /// Number of whole layers (`None` if all are) and of whole timesteps in a file that was cut.
     ///
-    /// - `length`: bytes that are left
-    /// - returns: none if not even the first layer of the first timestep is whole
+    /// - `length`: bytes of the cut file
+    /// - returns: `None` if even the first layer of the first timestep is not whole
     fn what_is_whole(&mut self, length: u64) -> Result<Option<(Option<usize>, usize)>, DecodeError> {
         let mut num_timesteps = self.info.num_timesteps as usize;
         for index in 0..self.archive.num_cohorts() {
@@ -233,14 +233,14 @@ impl<R: Read + Seek> SceneFile<R> {
             if span.start >= num_timesteps {
                 break;
             }
-            // A file of version 1 has no head; its layers are looked at below.
+            // A file of version 1 has no head; the code below counts its layers.
             if self.archive.head_range(index).end > length {
                 num_timesteps = span.start;
                 break;
             }
             self.open_cohort(index)?;
             let cohort = &self.cohorts[&index].cohort;
-            // A segment in which nothing moves has no bytes, wherever it lies.
+            // A segment in which nothing moves has no bytes, so its offset does not matter.
             let is_whole = |segment: usize, layers: usize| {
                 let range = cohort.segment_range(segment, layers);
                 layers <= cohort.layers_read() && (range.is_empty() || range.end <= length)
@@ -262,8 +262,8 @@ impl<R: Read + Seek> SceneFile<R> {
         Ok((num_timesteps > 0).then_some((None, num_timesteps)))
     }
 
-    /// Describes the file without reading shared layers or segments: of a long scene that is a small part of it. Checksums
-    /// are not verified but those of the tables and heads.
+    /// Describes the file without reading shared layers or segments; for a long scene this reads only a small part.
+    /// Verifies only the checksums of the tables and heads.
     ///
     /// # Errors
     /// [`DecodeError`] if a head cannot be read or is damaged.
@@ -282,8 +282,8 @@ impl<R: Read + Seek> SceneFile<R> {
         Ok(info)
     }
 
-    /// Names and content of the application data, in the order of the file, without those that lack a name in UTF-8 or, of a
-    /// file that was cut, are not whole.
+    /// Names and content of the application data, in the order of the file. Leaves out data without a name in UTF-8
+    /// and, in a file that was cut, data that are not whole.
     ///
     /// # Errors
     /// [`DecodeError::Format`] if data are damaged.
@@ -291,7 +291,7 @@ impl<R: Read + Seek> SceneFile<R> {
         self.application_data_of(u64::MAX)
     }
 
-    /// Gains of all colours over time, which [`Self::at`] does not apply. Application data of more than 1 MiB are not read.
+    /// Gains of all colours over time, which [`Self::at`] does not apply. Ignores application data of more than 1 MiB.
     ///
     /// # Errors
     /// As [`Self::application_data`].
@@ -302,7 +302,7 @@ impl<R: Read + Seek> SceneFile<R> {
         Ok(self.light.get_or_insert_default())
     }
 
-    /// [`Self::at`], with colours multiplied by the gains of the timestep ([`Self::light`]): what a renderer draws.
+    /// [`Self::at`] with colours multiplied by the gains of the timestep ([`Self::light`]), as a renderer draws them.
     ///
     /// # Errors
     /// As [`Self::at`] and [`Self::light`].
@@ -311,7 +311,7 @@ impl<R: Read + Seek> SceneFile<R> {
         Ok(self.at(timestep)?.lit(gains))
     }
 
-    /// - `most`: longest section that is read, bytes
+    /// - `most`: length of the longest section to read, bytes
     fn application_data_of(&mut self, most: u64) -> Result<Vec<(String, Vec<u8>)>, DecodeError> {
         let length = self.loss.map_or(self.archive.file_bytes(), |loss| loss.bytes);
         let mut all = Vec::new();
@@ -325,14 +325,14 @@ impl<R: Read + Seek> SceneFile<R> {
         Ok(all)
     }
 
-    /// A segment of a cohort, from the cache or else read and decoded.
+    /// A segment of a cohort, from the cache if possible; else it is read and decoded.
     ///
     /// # Errors
     /// [`DecodeError`] if the segment cannot be read, is damaged, or exceeds the limits.
     ///
     /// # Panics
-    /// If `cohort` is not below [`Archive::num_cohorts`] or `segment` not below [`Cohort::num_segments`]. Of a file that
-    /// was cut, a segment beyond [`Self::info`] has fewer layers than the others.
+    /// If `cohort` is not below [`Archive::num_cohorts`] or `segment` not below [`Cohort::num_segments`]. In a file
+    /// that was cut, a segment beyond [`Self::info`] has fewer layers than the others.
     pub fn segment(&mut self, cohort: usize, segment: usize) -> Result<Arc<Segment>, DecodeError> {
         self.open_cohort(cohort)?;
         let open = self.cohorts.get_mut(&cohort).expect("a cohort that was opened");
@@ -347,8 +347,8 @@ impl<R: Read + Seek> SceneFile<R> {
         Ok(decoded)
     }
 
-    /// The Gaussians that live at one timestep as floats, in stored form: cohort by cohort the same values as
-    /// [`crate::CompactScene::at`] gives. Fastest if successive calls ask for successive timesteps.
+    /// The Gaussians that live at one timestep as floats, in stored form: the values of [`crate::CompactScene::at`],
+    /// cohort by cohort. Fastest if successive calls ask for successive timesteps.
     ///
     /// # Errors
     /// As [`Self::segment`].
@@ -367,7 +367,8 @@ impl<R: Read + Seek> SceneFile<R> {
         Ok(Gaussians::concat(&self.layout, &parts))
     }
 
-    /// Indices, among all Gaussians of the file, of those that [`Self::at`] gives: cohort by cohort, ascending.
+    /// Indices, among all Gaussians of the file, of the Gaussians that [`Self::at`] returns: cohort by cohort,
+    /// ascending.
     ///
     /// # Errors
     /// As [`Self::segment`].
@@ -390,7 +391,7 @@ impl<R: Read + Seek> SceneFile<R> {
         Ok(living)
     }
 
-    /// The cohorts that live at a timestep, ascending. Forgets the others.
+    /// The cohorts that live at a timestep, ascending. Drops all others.
     fn cohorts_at(&mut self, timestep: usize) -> Vec<usize> {
         let num_timesteps = self.info.num_timesteps as usize;
         assert!(timestep < num_timesteps, "timestep {timestep} of {num_timesteps}");
@@ -418,7 +419,7 @@ impl<R: Read + Seek> SceneFile<R> {
     }
 }
 
-/// Most Gaussians of the cohorts that live at a timestep together.
+/// Largest total number of Gaussians in the cohorts that live at one timestep.
 fn most_gaussians(archive: &Archive) -> usize {
     let mut changes: BTreeMap<usize, i64> = BTreeMap::new();
     for cohort in 0..archive.num_cohorts() {
@@ -445,8 +446,8 @@ impl<R: Read + Seek> SceneReader for SceneFile<R> {
         self.most_gaussians
     }
 
-    /// The Gaussians of the cohorts that live at a timestep: at most as many are given, since lives within cohorts are
-    /// known only when these are read.
+    /// Number of Gaussians in the cohorts that live at a timestep: an upper bound, since lives within a cohort are
+    /// unknown before it is read.
     fn num_gaussians_at(&self, timestep: usize) -> usize {
         let of = |cohort| self.archive.num_gaussians_of(cohort);
         if self.num_layers.is_some() { self.most_gaussians } else { self.archive.cohorts_at(timestep).map(of).sum() }
@@ -473,7 +474,7 @@ impl<R: Read + Seek> SceneReader for SceneFile<R> {
     }
 }
 
-/// Bytes of a source; fewer if it ends.
+/// Reads a range of a source; returns fewer bytes if the source ends.
 fn read(source: &mut (impl Read + Seek), range: Range<u64>) -> Result<Vec<u8>, DecodeError> {
     source.seek(SeekFrom::Start(range.start))?;
     let mut bytes = Vec::new();

@@ -1,18 +1,19 @@
-//! Cameras stored in a file, from which a player may show the scene: application data of the name [`VIEWS`]
+//! Cameras stored in a file, from which a player may show the scene: application data named [`VIEWS`]
 //! (`docs/FORMAT.md`, "Views"). No decoder needs these cameras, and a decoder ignores those that it cannot read.
 
 use serde::Deserialize;
 use serde_json::{Value, json};
 use tcgs_core::{Camera, normalize, rotmat_from_quat};
 
-/// Name of the application data that hold cameras.
+/// Name of the application data with cameras.
 pub const VIEWS: &str = "tcgs.views";
 
-/// Longer data are left out: 4,000 cameras take as much, and parsed JSON takes a multiple of its text.
+/// Longest data that are parsed: 4,000 cameras take as much, and parsed JSON takes a multiple of its text.
 const MAX_BYTES: usize = 1 << 20;
-/// Pixels along a side above which a view is left out: products of two sides stay within an integer of 32 bits.
+/// Largest side of a view in pixels; larger views are left out. Products of two sides then fit into an integer of 32
+/// bits.
 const MAX_SIDE: usize = 1 << 15;
-/// How far the length of a rotation's quaternion may be from 1; five decimals are written.
+/// Largest deviation of a rotation quaternion's length from 1; five decimals are written.
 const MAX_LENGTH_ERROR: f64 = 1e-3;
 
 /// A named camera of the capture from which a scene was trained.
@@ -37,14 +38,14 @@ struct View {
     focal: [f64; 2],
     principal: [f64; 2],
     position: [f64; 3],
-    /// World from camera, `w, x, y, z`.
+    /// Rotation from camera to world, `w, x, y, z`.
     rotation: [f64; 4],
 }
 
 /// Cameras as application data, for [`encode_with`](crate::encode_with) under the name [`VIEWS`].
 ///
-/// Focal lengths and principal points are rounded to 0.01 pixels, positions to four decimals in scene units, components
-/// of rotations to five decimals: further digits would double the text without a visible effect.
+/// Focal lengths and principal points are rounded to 0.01 pixels, positions to four decimals in scene units, and
+/// components of rotations to five decimals. Further digits would double the text without a visible effect.
 ///
 /// - `cameras`: a player starts with the first camera
 /// - returns: JSON in UTF-8 (`docs/FORMAT.md`, "Views")
@@ -63,11 +64,11 @@ pub fn write_views(cameras: &[FileCamera]) -> Vec<u8> {
     json!({ "views": views }).to_string().into_bytes()
 }
 
-/// Cameras in the application data of a file; the inverse of [`write_views`] but for the rounding.
+/// Cameras in the application data of a file; the inverse of [`write_views`] apart from rounding.
 ///
 /// - `data`: names and bytes of application data, as [`application_data`](crate::application_data) gives them
-/// - returns: the cameras of all data of the name [`VIEWS`], in their order. A view that is no legal camera is left
-///   out, and so are data that are not JSON or longer than 1 MiB, so no input is an error
+/// - returns: the cameras of all data named [`VIEWS`], in their order. Invalid cameras are left out, and so are data
+///   that are not JSON or longer than 1 MiB, so no input is an error
 pub fn read_views(data: &[(String, Vec<u8>)]) -> Vec<FileCamera> {
     let of_views = data.iter().filter(|(name, bytes)| name == VIEWS && bytes.len() <= MAX_BYTES);
     let parsed = of_views.filter_map(|(_, bytes)| serde_json::from_slice::<Views>(bytes).ok());
@@ -78,7 +79,7 @@ pub fn read_views(data: &[(String, Vec<u8>)]) -> Vec<FileCamera> {
 impl View {
     fn camera(self) -> Option<FileCamera> {
         let length = self.rotation.iter().map(|x| x * x).sum::<f64>().sqrt();
-        // Comparisons that fail for NaN, too.
+        // The comparisons are false for NaN, too.
         let is_unit = (length - 1.0).abs() <= MAX_LENGTH_ERROR;
         if !is_unit || self.width > MAX_SIDE || self.height > MAX_SIDE {
             return None;
@@ -110,9 +111,9 @@ fn view(of: &FileCamera) -> Value {
     })
 }
 
-/// A number to a fraction of one.
+/// Rounds a number to a fraction of one.
 ///
-/// - `parts`: how many there are in 1
+/// - `parts`: reciprocal of that fraction
 fn rounded(x: f64, parts: f64) -> f64 {
     (x * parts).round() / parts
 }
@@ -120,7 +121,7 @@ fn rounded(x: f64, parts: f64) -> f64 {
 /// The rotation from camera to world as a unit quaternion `w, x, y, z`.
 fn world_from_camera(camera_from_world: &[[f64; 4]; 4]) -> [f64; 4] {
     let r = |i: usize, j: usize| camera_from_world[j][i];
-    // Each row is the quaternion times four times one of its components; the longest is the most exact.
+    // Each row is the quaternion times four times one of its components; the longest row is the most accurate.
     let rows = [
         [1.0 + r(0, 0) + r(1, 1) + r(2, 2), r(2, 1) - r(1, 2), r(0, 2) - r(2, 0), r(1, 0) - r(0, 1)],
         [r(2, 1) - r(1, 2), 1.0 + r(0, 0) - r(1, 1) - r(2, 2), r(0, 1) + r(1, 0), r(0, 2) + r(2, 0)],
@@ -172,9 +173,9 @@ mod tests {
         let huge = zero.replace("\"width\": 0", "\"width\": 1000000").replace("[0, 0, 0, 0]", "[1, 0, 0, 0]");
         assert!(read(&huge).is_empty());
         assert_eq!(read(&huge.replace("1000000", "1000")).len(), 1);
-        // No rotation: its matrix would be that of none.
+        // A zero quaternion is not a rotation: normalised, it would be the identity.
         assert!(read(&zero.replace("\"width\": 0", "\"width\": 10")).is_empty());
-        // One that is wrong does not take the others along.
+        // An invalid camera does not invalidate the others.
         let both = huge.replace("1000000", "1000").replace("[{", "[7, {\"name\": 7}, {");
         assert_eq!(read(&both).len(), 1);
         let long = format!("{}{}", huge.replace("1000000", "1000"), " ".repeat(MAX_BYTES));

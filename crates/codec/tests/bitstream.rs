@@ -1,4 +1,4 @@
-//! Symbols survive as bytes, and bytes that are no file are refused.
+//! Symbols survive as bytes, and bytes that are not a file are refused.
 #![allow(clippy::unwrap_used)]
 
 use std::ops::Range;
@@ -38,7 +38,7 @@ proptest! {
             prop_assert_eq!(&decoded.tracks[attribute.index()], &scene.tracks[attribute.index()], "{:?}", attribute);
         }
         prop_assert_eq!(&decoded, &scene);
-        // The memory that docs/FORMAT.md says every decoder allows is enough.
+        // The memory that docs/FORMAT.md requires every decoder to allow is enough.
         let max_bytes = 1024 + 512 * num_gaussians as u64 + 16 * num_codes(&file);
         let limits = DecodeLimits { max_bytes, ..Default::default() };
         prop_assert!(decode(&file, &limits).is_ok());
@@ -57,7 +57,7 @@ proptest! {
         }
     }
 
-    /// Damage with checksums that are right: whatever passes as a scene can be used.
+    /// Damage with correct checksums: a file that still decodes gives a usable scene.
     #[test]
     fn resealed_damage_never_panics(
         seed: u64,
@@ -78,7 +78,7 @@ proptest! {
     }
 }
 
-/// Codes at keypoints in all segments; those that two segments share count twice.
+/// Number of codes at keypoints in all segments; those that two segments share count twice.
 fn num_codes(file: &[u8]) -> u64 {
     let mut decoder = Decoder::new(DecodeLimits::none());
     let events = decoder.push(file).unwrap();
@@ -111,7 +111,7 @@ fn sections(file: &[u8]) -> Vec<([u8; 4], Range<usize>)> {
         .collect()
 }
 
-/// Makes all checksums right.
+/// Corrects all checksums.
 fn reseal(file: &mut [u8]) {
     let sections = sections(file);
     for (i, (_, range)) in sections.iter().enumerate() {
@@ -122,7 +122,7 @@ fn reseal(file: &mut [u8]) {
     file[12..16].copy_from_slice(&crc32fast::hash(&header).to_le_bytes());
 }
 
-/// Changes bytes of a section, seals the file again and says why it is refused.
+/// Changes bytes of a section, corrects the checksums, and returns the reason of the refusal.
 fn refusal(scene: &CompactScene, tag: &[u8; 4], offset: usize, bytes: &[u8]) -> String {
     let mut file = encode(scene).unwrap();
     let (_, range) = sections(&file).into_iter().find(|(t, _)| t == tag).unwrap();
@@ -175,7 +175,7 @@ fn sections_and_header_make_up_the_file() {
     let header = (HEADER_BYTES + 16 * info.sections.len()) as u64;
     assert_eq!(info.sections.iter().map(|s| s.bytes).sum::<u64>() + header, info.bytes);
     assert!(info.bytes_by_attribute().iter().all(|(_, bytes)| *bytes > 0));
-    // Segments follow each other and end the file.
+    // Segments follow each other to the end of the file.
     let segments = &info.cohorts[0].segments;
     let ends: Vec<u64> = segments.iter().map(|(_, bytes)| bytes.end).collect();
     assert_eq!(ends.last(), Some(&info.bytes));
@@ -199,7 +199,7 @@ fn another_version_trailing_bytes_and_other_files_are_refused() {
     assert_eq!(refused(&[]).to_string(), "invalid end in file at byte 0: the file ends early");
 }
 
-/// Adds a section at the end of the table of contents and of the file.
+/// Appends a section to the table of contents and to the file.
 fn with_section(file: &[u8], tag: &[u8; 4], bytes: &[u8]) -> Vec<u8> {
     let count = sections(file).len();
     let (header, body) = file.split_at(HEADER_BYTES + 16 * count);
@@ -221,7 +221,7 @@ fn unknown_sections_are_skipped_if_they_may_be() {
     assert_eq!(decode(&application, &limits).unwrap(), scene);
     let data = tcgs_codec::application_data(&application, &limits).unwrap();
     assert_eq!(data, [("notes".to_owned(), &b"abc"[..])]);
-    // A name that is no UTF-8, or that is longer than its section: no decoder needs it.
+    // A name that is not UTF-8, or that is longer than its section: no decoder needs it.
     for nameless in [&b"\x02\0\xff\xfe"[..], b"\x05\0not", b""] {
         let file = with_section(&application, b"appl", nameless);
         assert_eq!(decode(&file, &limits).unwrap(), scene);
@@ -240,7 +240,7 @@ fn huge_counts_are_refused_before_anything_is_allocated() {
     assert_eq!(gaussians, "scene needs 4294967295 Gaussians, limit is 16777216");
     let timesteps = refusal(&scene, b"INFO", 4, &u32::MAX.to_le_bytes());
     assert_eq!(timesteps, "scene needs 4294967295 timesteps, limit is 65536");
-    // Within the counts' limits, but more than so small a file may take.
+    // Within the limits of counts, but more than so small a file may use.
     let mut file = encode(&CompactScene { layers: vec![4], ..scene }).unwrap();
     let info = sections(&file)[0].1.clone();
     file[info.start..info.start + 4].copy_from_slice(&16_000_000_u32.to_le_bytes());
@@ -248,7 +248,7 @@ fn huge_counts_are_refused_before_anything_is_allocated() {
     reseal(&mut file);
     let error = decode(&file, &DecodeLimits::default()).unwrap_err();
     assert!(matches!(error, DecodeError::Limit { what: "layer", unit: "bytes", .. }), "{error}");
-    // A length beyond the file.
+    // A length beyond the end of the file.
     file[HEADER_BYTES + 8..HEADER_BYTES + 12].copy_from_slice(&u32::MAX.to_le_bytes());
     let header = [&file[..12], &file[HEADER_BYTES..info.start]].concat();
     file[12..16].copy_from_slice(&crc32fast::hash(&header).to_le_bytes());
@@ -269,7 +269,7 @@ fn memory_stays_within_its_limit() {
     assert_eq!(limited(2_000_000).unwrap(), compact);
 }
 
-/// Codes of 4 bits that are all 0, at 0, 2 and 4 of five timesteps.
+/// Codes of 4 bits, all 0, at 0, 2 and 4 of five timesteps.
 fn small_scene() -> CompactScene {
     let mut scene = any_scene(1, 5, 0);
     scene.varies = vec![true, true, false, false, true];
@@ -337,7 +337,7 @@ fn a_scene_with_a_code_outside_its_width_is_not_encoded() {
     assert_eq!(encode(&scene).unwrap_err().to_string(), message);
 }
 
-/// A segment's number has 16 bits, and 65535 stands for what all segments share.
+/// A segment's number has 16 bits, and 65535 marks sections that all segments share.
 #[test]
 fn a_scene_of_65_536_segments_is_not_encoded() {
     let mut scene = any_scene(1, 65_536, 0);
@@ -350,7 +350,7 @@ fn a_scene_of_65_536_segments_is_not_encoded() {
     scene.segment_length = 1;
     let error = encode(&scene).unwrap_err().to_string();
     assert_eq!(error, "invalid number of segments: found 65536, expected 65535");
-    // One timestep less, and one segment less.
+    // One timestep fewer, and so one segment fewer.
     scene.info.num_timesteps -= 1;
     let file = encode(&scene).unwrap();
     assert_eq!(decode(&file, &DecodeLimits::default()).unwrap(), scene);
@@ -373,7 +373,7 @@ fn a_position_beyond_what_floats_say_is_not_encoded() {
     assert_eq!(encode(&scene).unwrap_err().to_string(), message);
 }
 
-/// What a realistic scene takes. A ceiling 2 % above what was measured: bytes that grow want a reason.
+/// Size of a realistic scene. The ceiling is 2 % above the measured size: growth needs a reason.
 #[test]
 fn a_room_stays_small() {
     let num_gaussians = 20_000;

@@ -15,7 +15,7 @@ use tcgs_core::Gaussians;
 mod any_scene;
 use any_scene::{any_cohort, any_cohorts, any_scene};
 
-/// The Gaussians that live at a timestep, by the definition, and their indices among all.
+/// The Gaussians that live at a timestep, by definition, and their indices among all.
 fn alive(cohorts: &[CompactScene], timestep: usize) -> (Vec<Gaussians>, Vec<usize>) {
     let (mut parts, mut indices, mut before) = (Vec::new(), Vec::new(), 0);
     for cohort in cohorts {
@@ -65,7 +65,7 @@ proptest! {
         }
     }
 
-    /// Each cohort's segments come with all of its layers, and before all that is needed later.
+    /// Each cohort's segments come with all of its layers, in the order in which they are needed.
     #[test]
     fn a_file_that_arrives_in_pieces_says_the_same(count in 1_usize..4, seed: u64, piece in 1_usize..200) {
         let (info, cohorts) = any_cohorts(count, seed);
@@ -142,7 +142,7 @@ fn number(file: &[u8], at: usize) -> u64 {
     u64::from_le_bytes(file[at..at + 8].try_into().unwrap())
 }
 
-/// Makes the checksums of the header, of sections and of heads those of the bytes.
+/// Corrects the checksums of the header, of sections and of heads.
 fn reseal(file: &mut [u8]) {
     let crc = |file: &[u8], range: Range<u64>| {
         let range = range.start.min(file.len() as u64) as usize..range.end.min(file.len() as u64) as usize;
@@ -179,7 +179,7 @@ fn one_cohort_of_all_timesteps_is_the_scene_of_version_1() {
     let scene = any_scene(30, 40, 3);
     let file = encode_cohorts(&scene.info, std::slice::from_ref(&scene), &[]).unwrap();
     assert_eq!(decode(&file, &DecodeLimits::default()).unwrap(), scene);
-    // The tables of version 2 are no longer than those of version 1, but for what names the attributes.
+    // The tables of version 2 are no longer than those of version 1, apart from the names of attributes.
     let first = encode(&scene).unwrap();
     assert!(file.len() < first.len() + 256, "{} bytes, {} in version 1", file.len(), first.len());
 }
@@ -240,7 +240,7 @@ fn parts_out_of_place_are_refused() {
     let (info, cohorts) = any_cohorts(3, 9);
     let file = encode_cohorts(&info, &cohorts, &[]).unwrap();
     let refused = |file: &[u8]| decode_cohorts(file, &DecodeLimits::default()).unwrap_err();
-    // A gap before the first piece: the table of cohorts, then everything else a byte later.
+    // A gap before the first piece: everything after the table of cohorts moves by a byte.
     let cohorts_at = number(&file, 20 + 24 + 8) as usize;
     let mut gap = file.clone();
     let end = cohorts_at + number(&file, 20 + 24 + 16) as usize;
@@ -250,7 +250,7 @@ fn parts_out_of_place_are_refused() {
     assert!(matches!(refused(&gap), DecodeError::Format { .. }), "{}", refused(&gap));
 }
 
-/// The outline of a file says what its description says, but for what only its sections tell.
+/// The outline of a file equals its description, apart from what only its sections contain.
 #[test]
 fn an_outline_is_a_description_without_contents() {
     for count in 0..5 {

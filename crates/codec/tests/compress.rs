@@ -11,7 +11,7 @@ use tcgs_core::{Attribute, Column, DynamicGaussians, Gaussians, Layout, SceneRea
 mod scenes;
 use scenes::Random;
 
-/// The default, with the widths of the bit map and the same tolerance for all.
+/// The default settings, with the widths of the bit map and equal tolerances.
 fn as_told() -> CompressSettings {
     CompressSettings { coarser: [0.0; 5], position_fineness: 0.0, importance: 0.0, ..CompressSettings::default() }
 }
@@ -21,7 +21,7 @@ fn compress_all(scene: &DynamicGaussians, bits: u8, settings: &CompressSettings)
         .expect("a legal scene")
 }
 
-/// Mean squared error of an attribute over all timesteps; quaternions as unit ones of either sign.
+/// Mean squared error of an attribute over all timesteps; quaternions are normalised, and their sign is ignored.
 fn mse(attribute: Attribute, expected: &DynamicGaussians, found: &DynamicGaussians) -> f64 {
     let (mut sum, mut count) = (0.0, 0);
     for timestep in 0..expected.num_timesteps() {
@@ -48,7 +48,7 @@ fn reconstruction_stays_within_tolerance() {
     let (compact, order) = compress_all(&scene, 8, &settings);
     let (expected, found) = (scene.select(&order), compact.reconstruct());
     for attribute in Attribute::BASE {
-        // Tolerance of the tracks and error of rounding, step²/12, add up at most as lengths.
+        // Root mean square errors add at most linearly: the tolerance of the tracks, and rounding, step²/12.
         let steps = compact.quantizers.attributes[attribute.index()].values().flatten().map(|q| f64::from(q.step));
         let step = steps.fold(0.0, f64::max);
         let tolerance = if scene.varies(attribute) {
@@ -113,10 +113,10 @@ fn scales_and_opacities_may_vary() {
         let error = mse(attribute, &expected, &found);
         assert!(error < 2e-3, "{attribute:?}: {error}");
     }
-    // A line of 12 samples is two keypoints; three quarters of the opacities are constant.
+    // A line of 12 samples needs two keypoints; three quarters of the opacities are constant.
     let opacities = Attribute::LogitOpacity.index();
     assert!((compact.keypoints_mean()[opacities] - 1.25).abs() < 0.05, "{:?}", compact.keypoints_mean());
-    // Their samples count: by hand, in floats and quantised.
+    // Sizes computed by hand, as floats and quantised.
     assert_eq!(scene.raw_bytes(), 200 * 56 * 12);
     let quantizers: u64 = 64 * 14;
     assert_eq!(compact.quantized_bytes(), (200 * 12 * (3 * 16 + 11 * 8) + quantizers).div_ceil(8));
@@ -147,7 +147,7 @@ fn what_stands_still_is_one_value() {
     let constant = (0..default.tracks[means].len()).filter(|&i| default.tracks[means].track(i).0.len() == 1).count();
     assert_eq!(constant, 3 * 400, "the tracks of the four fifths on the walls");
     assert!((0..lines.tracks[means].len()).all(|i| lines.tracks[means].track(i).0.len() >= 2));
-    // 5 bits of a colour's range are coarser than the noise, so little is added to the two ends.
+    // 5 bits of a colour's range are coarser than the noise, so few keypoints are added to the two ends.
     let colors = Attribute::Color.index();
     settings.noise_floor = false;
     settings.max_mse = [1e-6; 5];
@@ -225,7 +225,7 @@ fn layers_hold_the_most_important_first() {
     let lowest = |range: std::ops::Range<usize>| order[range].iter().map(|&g| area(g)).fold(f32::MAX, f32::min);
     let highest = |range: std::ops::Range<usize>| order[range].iter().map(|&g| area(g)).fold(f32::MIN, f32::max);
     assert!(lowest(0..100) >= highest(100..300) && lowest(100..300) >= highest(300..1000));
-    // More layers than Gaussians, or shares that leave nothing.
+    // More layers than Gaussians, or shares that leave none.
     for layers in [vec![0.0, 1.0, 0.5], vec![1e-9; 9]] {
         let (compact, _) = compress_all(&scene.select(&[0, 1]), 8, &CompressSettings { layers, ..as_told() });
         assert_eq!(compact.layers, [2]);
@@ -305,7 +305,7 @@ fn quality_orders_files_by_size_and_error() {
         let (bytes, better) = (pair[0].0, pair[1].0);
         assert!(bytes < better && better < 2 * bytes, "quality {}: {bytes} and {better} bytes", i as f32 / 2.0 - 6.0);
     }
-    // Over two steps of quality every attribute errs less.
+    // Two steps of quality lower the error of every attribute.
     for (i, (worse, better)) in curve.iter().zip(&curve[4..]).enumerate() {
         for a in Attribute::BASE {
             let (worse, better) = (worse.1[a.index()], better.1[a.index()]);
@@ -353,13 +353,13 @@ fn more_timesteps_than_a_byte_counts_work() {
     let steps = &compact.quantizers.attributes[Attribute::Mean.index()][&16];
     let step = steps.iter().fold(0.0, |a, q| q.step.max(a));
     assert!(mse(Attribute::Mean, &scene.select(&order), &compact.reconstruct()) <= f64::from(step / 2.0).powi(2));
-    // Two bytes for a count above 255, nine bits of time.
+    // Two bytes for a count above 255, nine bits for a time.
     let varying: u64 = [(16, 3), (12, 4), (12, 3)].iter().map(|(bits, c)| c * (16 + 400 * (9 + bits))).sum();
     let constant = 12 * 4;
     assert_eq!(compact.plain_bytes(), (20 * (varying + constant) + 14 * 64).div_ceil(8));
 }
 
-/// Timesteps of a scene, counted, in which nothing says what varies.
+/// A scene that counts its reads and does not declare which columns vary.
 struct Counted<'a> {
     scene: &'a DynamicGaussians,
     num_reads: usize,
@@ -392,7 +392,7 @@ fn what_is_read_compresses_as_what_lies_in_memory() {
     for timestep in 1..60 {
         let mut now = scenes::room(300, 1).at(0);
         now.means_mut()[7][0] += (0.1 * timestep as f32).sin();
-        // One of the columns that are usually held once varies, late.
+        // One of the columns that are usually stored once varies, late.
         now.log_scales_mut()[9][1] += if timestep > 40 { 0.5 } else { 0.0 };
         scene.push(now);
     }
@@ -436,7 +436,7 @@ fn further_columns_are_compressed_but_not_encoded() {
             let error = mse(attribute, &expected, &found);
             assert!(error < 1e-3, "{}: {error}", layout.name(attribute));
         }
-        // The columns of the format are as they are without the others.
+        // The format's own columns are the same without the others.
         let map = BitMap::uniform(200, 16, 8);
         let (alone, _) = compress_ordered(&base, &map, None, SceneInfo::of(&base), &settings).unwrap();
         assert_eq!(compact.tracks[..5], alone.tracks);

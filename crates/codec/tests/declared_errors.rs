@@ -1,4 +1,4 @@
-//! Largest errors: what a file declares holds for what is decoded, and settings make errors smaller.
+//! Largest errors: the errors that a file declares hold for the decoded values, and settings reduce them.
 #![allow(clippy::unwrap_used)]
 
 use std::io::Cursor;
@@ -10,14 +10,14 @@ use tcgs_codec::{
 };
 use tcgs_core::{Attribute, DynamicGaussians, Gaussians, Layout};
 
-/// Numbers in [0, 1) that look random.
+/// Pseudo-random numbers in [0, 1).
 fn random(i: usize) -> f32 {
     let mut z = (i as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     ((z ^ z >> 27) >> 40) as f32 / (1 << 24) as f32
 }
 
-/// Gaussians that move, turn, fade and shine, at different speeds; one lies far outside in every attribute.
+/// Gaussians that move, turn, fade and have harmonics, at different speeds; one is an outlier in every attribute.
 fn scene(num_gaussians: usize, num_timesteps: usize, layout: &Arc<Layout>) -> DynamicGaussians {
     let mut scene = DynamicGaussians::new(Arc::clone(layout));
     for timestep in 0..num_timesteps {
@@ -40,7 +40,7 @@ fn settings() -> CompressSettings {
     CompressSettings { coarser: [0.0; 5], segment_length: Some(6), ..CompressSettings::default() }
 }
 
-/// The scene as symbols with the errors that it declares, and its order.
+/// The scene as symbols with its declared errors, and its order.
 fn compress(scene: &DynamicGaussians, settings: &CompressSettings) -> (CompactFile, Vec<usize>) {
     let bits = BitMap::uniform_of(scene.layout(), scene.num_gaussians(), 12, 6);
     let (compact, order) = compress_ordered(scene, &bits, None, SceneInfo::of(scene), settings).unwrap();
@@ -71,7 +71,7 @@ fn what_is_declared_holds_for_what_is_decoded_and_no_less_would() {
         assert_eq!(name, declared_name);
         assert!(found <= declared && declared < 1.000_01 * found && found > 0.0, "{name}: {found} of {declared}");
     }
-    // Version 1 has no place for them.
+    // Version 1 cannot store them.
     let (compact, _) = compress(&self::scene(40, 3, &Layout::base()), &settings());
     let decoded = CompactFile::decode(&compact.encode(1, &[]).unwrap(), &DecodeLimits::default()).unwrap();
     assert_eq!((decoded.declared_errors, decoded.cohorts), (Vec::new(), compact.cohorts));
@@ -139,7 +139,7 @@ fn parts_of_a_sequence_declare_theirs() {
     let compact = CompactFile { info, cohorts, declared_errors: errors.declared(), light: Light::default() };
     let file = CompactFile::decode(&compact.encode(2, &[]).unwrap(), &DecodeLimits::default()).unwrap();
     assert_eq!(file, compact);
-    // Every mean that was compressed has a decoded one as near as is declared.
+    // Every compressed mean has a decoded one within the declared error.
     for t in 0..6 {
         let decoded = file.at(t);
         assert_eq!(decoded.num_gaussians(), 30);
@@ -174,14 +174,14 @@ fn settings_for_smaller_errors_leave_other_attributes_alone() {
     assert_eq!(after.position_fineness, 8.0 * before.position_fineness);
     assert_eq!((after.coarser, after.covers_outliers), (before.coarser, [true, false, false, false, false]));
     assert_eq!(after.max_mse[1..], before.max_mse[1..]);
-    // Attributes that share entries are made finer together, once.
+    // Attributes that share an entry of the settings are refined together, once.
     let layout = Layout::with_harmonics(2);
     let shared: Vec<_> = layout.columns()[4..].iter().zip([4.0, 16.0, 2.0]).collect();
     let after = before.clone().with_smaller_errors(&shared);
     assert_eq!((after.coarser[4], after.harmonic_error), (before.coarser[4] - 4.0, 0.0));
 }
 
-/// Errors that were measured while the cohorts were written take the place of those that were declared first.
+/// Errors that are measured while the cohorts are written replace those declared first.
 #[test]
 fn errors_may_be_declared_once_all_cohorts_are_written() {
     let scene = scene(20, 6, &Layout::base());

@@ -1,10 +1,10 @@
-//! Keypoint selection against the authors' own results, and what holds for every track.
+//! Keypoint selection against the authors' results, and properties of every track.
 
 use proptest::prelude::*;
 use std::io::Write;
 use tcgs_codec::{interpolate, select_keypoints};
 
-/// Algorithm 1 as it is printed: the whole track is interpolated again for every keypoint.
+/// Algorithm 1 as printed: the whole track is interpolated again for every keypoint.
 fn naive(track: &[f32], max_keypoints: usize, max_mse: f32) -> Vec<usize> {
     if track.len() < 2 {
         return (0..track.len()).collect();
@@ -23,7 +23,7 @@ fn naive(track: &[f32], max_keypoints: usize, max_mse: f32) -> Vec<usize> {
                 (f64::from(track[i]) - (a + slope * (i - before) as f64)).powi(2)
             })
             .collect();
-        // Eight interleaved partial sums, then what is left over: the documented order.
+        // Eight interleaved partial sums, then the rest: the documented order.
         let whole = errors.len() / 8 * 8;
         let mut sum = 0.0;
         for lane in 0..8 {
@@ -53,7 +53,7 @@ fn mse(track: &[f32], keypoints: &[usize]) -> f64 {
     (0..track.len()).map(squared).sum::<f64>() / track.len() as f64
 }
 
-/// Noise, or a walk, or values that repeat so that errors tie.
+/// Noise, a random walk, or repeated values with tied errors.
 fn tracks() -> impl Strategy<Value = Vec<f32>> {
     prop_oneof![
         prop::collection::vec(-10.0_f32..10.0, 0..80),
@@ -129,7 +129,7 @@ fn the_authors_keypoints_are_reproduced() {
         let path = format!("{folder}/max_keypoints_{max_keypoints}.json");
         let Ok(text) = std::fs::read_to_string(&path) else {
             assert!(std::env::var_os("REQUIRE_GOLDEN").is_none(), "{path} is missing");
-            // Past the capture of passing tests: a skip is to be seen.
+            // Written past the test harness's capture, so that a skip is visible.
             let _ = writeln!(std::io::stderr(), "skipped: {path} is missing");
             return;
         };

@@ -1,4 +1,4 @@
-//! What holds for every quantizer.
+//! Properties of every quantizer.
 
 use proptest::prelude::*;
 use tcgs_codec::Quantizer;

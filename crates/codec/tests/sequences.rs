@@ -19,7 +19,7 @@ fn random(seed: u64) -> f32 {
     ((z ^ z >> 31) >> 40) as f32 / (1 << 24) as f32
 }
 
-/// A Gaussian of a made scene at a timestep: it stands or moves along a line; few shine.
+/// A Gaussian of a synthetic scene at a timestep: it stands or moves along a line; a few have harmonics.
 fn gaussian(id: u64, timestep: usize, layout: &Arc<Layout>) -> Gaussians {
     let mut one = Gaussians::zeros_of(layout, 1);
     let r = |i: u64| random(id * 64 + i);
@@ -43,7 +43,7 @@ fn gaussian(id: u64, timestep: usize, layout: &Arc<Layout>) -> Gaussians {
 /// Error of harmonics at which each coefficient stays within 0.03.
 const FINE: f32 = 0.004;
 
-/// A sequence in memory, of any numbers.
+/// A sequence in memory whose number of Gaussians may change.
 struct Sequence {
     layout: Arc<Layout>,
     timesteps: Vec<Gaussians>,
@@ -73,7 +73,7 @@ impl SceneReader for Sequence {
     }
 }
 
-/// - `ids`: those that live at a timestep, in their order
+/// - `ids`: the Gaussians that live at a timestep, in order
 fn sequence(num_timesteps: usize, degree: usize, ids: impl Fn(usize) -> Vec<u64>) -> Sequence {
     let layout = Layout::with_harmonics(degree);
     let timestep = |t| {
@@ -107,7 +107,7 @@ fn file(source: &Sequence, cohorts: &[CompactScene]) -> Vec<u8> {
     file
 }
 
-/// Every Gaussian of every timestep is found again, at its place and in its colour.
+/// Checks that every Gaussian of every timestep is found again, at its position and with its colour.
 fn compare(source: &Sequence, file: &[u8]) {
     let mut reader = SceneFile::open(Cursor::new(file), &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES).unwrap();
     for (timestep, expected) in source.timesteps.iter().enumerate() {
@@ -144,7 +144,7 @@ fn harmonics_cost_what_they_show() {
     let kept = of_degree_1.iter().filter(|&&width| width > 0).count();
     assert!((100..=150).contains(&kept), "{kept} of 600");
     compare(&source, &file(&source, &[compact]));
-    // 45 coefficients of a quarter of the Gaussians, next to 14 values of all.
+    // 45 coefficients of a quarter of the Gaussians, against 14 values of all.
     let lengths = [source, plain].map(|mut source| {
         let cohorts = cohorts(&mut source, 1);
         file(&source, &cohorts).len()
@@ -160,7 +160,7 @@ fn harmonics_err_less_where_images_depend_more_on_them() {
     let band = source.layout.harmonics()[0].index();
     let mut bits = BitMap::uniform_of(&source.layout, 600, 16, 8);
     bits.widths[band].iter_mut().step_by(2).for_each(|width| *width = 4);
-    // Those of 4 bits, and those of 8: how many keep the band, and with how many bits.
+    // For the Gaussians of 4 bits and of 8 bits: how many keep the band, and at which width.
     let kept = |importance: f32| {
         let settings = CompressSettings { harmonic_error: 0.028, importance, ..CompressSettings::default() };
         let (compact, order) =
@@ -178,7 +178,7 @@ fn harmonics_err_less_where_images_depend_more_on_them() {
 
 #[test]
 fn gaussians_are_followed_through_changing_orders_and_numbers() {
-    // Some are born, some die, and every timestep has its own order.
+    // Some Gaussians are born, some die, and every timestep has its own order.
     let ids = |t: usize| {
         let mut ids: Vec<u64> =
             (0..200).filter(|id: &u64| t < 9 || !id.is_multiple_of(10)).chain(200..200 + 5 * t as u64).collect();

@@ -19,7 +19,7 @@ fn bytes(file: &[u8], range: Range<u64>) -> &[u8] {
     &file[range.start as usize..range.end as usize]
 }
 
-/// Opens with as few bytes as it takes.
+/// Opens a file with as few bytes as possible.
 fn open(file: &[u8]) -> Archive {
     let mut length = 0;
     loop {
@@ -46,7 +46,7 @@ fn first(scene: &CompactScene, timestep: usize, layers: usize) -> Gaussians {
     scene.at(timestep).select(&(0..count as usize).collect::<Vec<_>>())
 }
 
-/// What an event says, for comparison.
+/// An event as text, for comparison.
 fn describe(event: &Event) -> String {
     match event {
         Event::Segment(segment) => {
@@ -81,7 +81,7 @@ proptest! {
         let layers = layers.index(archive.num_layers() + 1);
         archive.read_shared(bytes(&file, archive.shared_range(layers))).unwrap();
         prop_assert_eq!(archive.layers_read(), layers);
-        // Some later segment first: the order does not matter.
+        // A later segment first: the order does not matter.
         for segment in (0..archive.num_segments()).rev() {
             let decoded = archive.read_segment(segment, bytes(&file, archive.segment_range(segment, layers))).unwrap();
             prop_assert_eq!(decoded.num_layers(), layers);
@@ -155,7 +155,7 @@ fn the_first_bytes_of_another_file_are_refused_at_once() {
     assert!(decoder.push(b"XX").is_err());
 }
 
-/// Found by fuzzing: a segment for each of 65,536 timesteps in which there is nothing.
+/// Found by fuzzing: an empty segment for each of 65,536 timesteps.
 #[test]
 fn segments_of_nothing_cost_nothing() {
     let empty = CompactScene { segment_length: 1, ..any_scene(0, 65_536, 1) };
@@ -221,24 +221,24 @@ fn data_of_applications_are_known_from_the_start() {
     let found: Vec<_> = ranges.iter().enumerate().map(read).collect();
     assert_eq!(found, data.map(|(name, bytes)| (name.to_owned(), bytes.to_vec())));
     assert!(archive.read_application(0, b"other").is_err());
-    // They change nothing else.
+    // Application data change nothing else.
     assert_eq!(decode(&file, &DecodeLimits::default()).unwrap(), scene);
     assert_eq!(events(&[&file[..]]), events(&[&plain[..]]));
-    // What is skipped is verified all the same.
+    // Skipped data are verified all the same.
     let mut damaged = file.clone();
     damaged[ranges[0].end as usize - 1] ^= 1;
     let error = Decoder::new(DecodeLimits::default()).push(&damaged).unwrap_err().to_string();
     assert!(error.contains("checksum in application data"), "{error}");
 }
 
-/// A player in a loop decodes the same segments for ever.
+/// A player in a loop decodes the same segments endlessly.
 #[test]
 fn a_segment_may_be_decoded_any_number_of_times() {
     let scene = scenes::room(900, 30);
     let settings = CompressSettings { segment_length: Some(10), ..Default::default() };
     let compact = compress(&scene, &scenes::mixed_widths(900), None, SceneInfo::of(&scene), &settings).unwrap();
     let file = encode(&compact).unwrap();
-    // As little as it takes to read each segment once.
+    // Just enough memory to read each segment once.
     let limits = DecodeLimits { max_bytes: 1 << 19, ..Default::default() };
     let Opening::Ready(mut archive) = Archive::open(&file, &limits).unwrap() else { panic!("more bytes are needed") };
     let mut archive = archive.open_cohort(0, &[]).unwrap();
@@ -248,7 +248,7 @@ fn a_segment_may_be_decoded_any_number_of_times() {
         let segment = archive.read_segment(turn % 3, bytes(&file, archive.segment_range(turn % 3, layers))).unwrap();
         assert_eq!(segment.num_layers(), layers);
     }
-    // The limit still holds for one.
+    // The limit still applies to a single segment.
     let limits = DecodeLimits { max_bytes: 1 << 16, ..Default::default() };
     let Opening::Ready(mut archive) = Archive::open(&file, &limits).unwrap() else { panic!("more bytes are needed") };
     let mut archive = archive.open_cohort(0, &[]).unwrap();
@@ -257,7 +257,7 @@ fn a_segment_may_be_decoded_any_number_of_times() {
     assert!(matches!(read, Err(tcgs_codec::DecodeError::Limit { .. })), "{read:?}");
 }
 
-/// Codes and the places of their units say what the floats say.
+/// Codes and the places of their units agree with the floats.
 #[test]
 fn keypoints_are_those_of_the_floats() {
     let compact = any_scene(9, 17, 3);
@@ -341,7 +341,7 @@ fn a_file_is_decoded_where_it_is_read() {
     assert_eq!(reader.at(21).unwrap(), compact.at(21));
     assert_eq!(bytes.get() - opened, third + fourth);
 
-    // Room for two segments: of three the one that was used longest ago is read again.
+    // Space for two segments: of three, the least recently used is read again.
     let two = 2 * (0..6).map(|i| reader.segment(0, i).unwrap().bytes()).max().unwrap();
     let mut reader = open(&file[..], two).unwrap();
     for timestep in [0, 10, 0, 20] {
@@ -353,7 +353,7 @@ fn a_file_is_decoded_where_it_is_read() {
     assert_eq!(bytes.get(), before);
     reader.at(10).unwrap();
     assert!(bytes.get() > before);
-    // Without room for any, the segment in use is held.
+    // Without space for any, the segment in use is held.
     let mut reader = open(&file[..], 0).unwrap();
     assert!((0..60).rev().all(|t| reader.at(t).unwrap() == compact.at(t)));
 
@@ -393,7 +393,7 @@ fn the_least_recently_used_segment_goes_first() {
     assert!(cache.recall(0).is_some() && cache.recall(1).is_none() && cache.recall(2).is_some());
     cache.make_room();
     assert!(cache.bytes() <= largest && cache.recall(2).is_some());
-    // One alone may exceed the bound.
+    // A single segment may exceed the bound.
     let mut cache = SegmentCache::new(1);
     cache.insert(segments[3].clone());
     assert!(cache.recall(3).is_some());

@@ -1,8 +1,9 @@
-//! Files of both versions and the values they mean: `testdata/bitstream/v1`, kept for ever, and `testdata/bitstream/v2`; and
-//! files that must be refused: `testdata/bitstream/refused` and `testdata/bitstream/refused_v2`.
+//! Golden files of both versions and their decoded values: `testdata/bitstream/v1`, kept for ever, and
+//! `testdata/bitstream/v2`. Also files that must be refused: `testdata/bitstream/refused` and
+//! `testdata/bitstream/refused_v2`.
 //!
-//! `UPDATE_GOLDENS=1 cargo test -p tcgs-codec --test vectors` makes those that are missing; a file that exists keeps its
-//! bytes. `forge.py` and `forge_v2.py` beside them make what no encoder writes.
+//! `UPDATE_GOLDENS=1 cargo test -p tcgs-codec --test vectors` makes missing files; an existing file keeps its bytes.
+//! `forge.py` and `forge_v2.py` beside them make files that no encoder writes.
 #![allow(clippy::unwrap_used)]
 
 use std::fs;
@@ -22,13 +23,13 @@ mod corner_scenes;
 mod scenes;
 use any_scene::any_scene;
 
-/// Vectors of version 1 with bytes that a decoder takes and no encoder writes.
+/// Vectors of version 1 with bytes that a decoder accepts and no encoder writes.
 const FORGED: [&str; 3] = ["dropped_bits", "optional_sections", "symbols_beyond"];
-/// Those of version 2.
+/// The same for version 2.
 const FORGED_V2: [&str; 6] =
     ["born_and_gone", "declared_errors", "optional_sections", "skipped", "skipped_motion", "symbols_beyond"];
 
-/// Every vector of version 1 but those of `forge.py`: its name and the scene that it holds.
+/// Every vector of version 1 except those of `forge.py`: its name and its scene.
 fn vectors() -> Vec<(&'static str, CompactScene)> {
     let mut layered = any_scene(6, 12, 3);
     layered.layers = vec![1, 2, 3];
@@ -53,7 +54,7 @@ fn vectors() -> Vec<(&'static str, CompactScene)> {
     ]
 }
 
-/// Every vector of version 2 but those of `forge_v2.py`: its name and what it holds.
+/// Every vector of version 2 except those of `forge_v2.py`: its name and its content.
 fn vectors_v2() -> [(&'static str, cohort_scenes::File); 11] {
     [
         ("one_gaussian", cohort_scenes::one_gaussian()),
@@ -71,7 +72,7 @@ fn vectors_v2() -> [(&'static str, cohort_scenes::File); 11] {
 }
 
 fn info(room: &tcgs_core::DynamicGaussians) -> SceneInfo {
-    // Not the version of the program: the bytes are to stay.
+    // A fixed name instead of the program's version, so that the bytes stay.
     SceneInfo { name: "room".into(), generator: "vectors".into(), ..SceneInfo::of(room) }
 }
 
@@ -90,7 +91,7 @@ fn describe_info(info: &SceneInfo) -> Value {
     })
 }
 
-/// Division, widths and tracks of a cohort, which is all of a file of version 1.
+/// Division, widths and tracks of a cohort; a file of version 1 has only one.
 fn describe_cohort(scene: &CompactScene) -> Value {
     let attribute = |a: Attribute| {
         let tracks = &scene.tracks[a.index()];
@@ -128,14 +129,14 @@ fn joined(mut value: Value, more: Value) -> Value {
     value
 }
 
-/// What a file of version 1 says, and the floats of its first, middle and last timestep.
+/// Content of a file of version 1, and the floats of its first, middle and last timestep.
 fn describe(scene: &CompactScene) -> Value {
     let last = scene.num_timesteps() - 1;
     let values = [0, last / 2, last].map(|t| describe_values(t, &scene.at(t)));
     joined(joined(describe_info(&scene.info), describe_cohort(scene)), json!({ "reconstructed": values }))
 }
 
-/// What a file of version 2 says, and the floats of its first, middle and last timestep.
+/// Content of a file of version 2, and the floats of its first, middle and last timestep.
 fn describe_v2(file: &[u8]) -> Value {
     let limits = DecodeLimits::default();
     let mut reader = SceneFile::open(std::io::Cursor::new(file), &limits, 0).unwrap();
@@ -151,7 +152,7 @@ fn describe_v2(file: &[u8]) -> Value {
                 "names": cohort.layout.columns().iter().map(|column| &column.name).collect::<Vec<_>>(),
             }),
         );
-        // Said where it is so: the words of older vectors stay.
+        // Only present where it is true, so that older vectors keep their text.
         if cohort.layout.is_antialiased() {
             described["antialiased"] = json!(true);
         }
@@ -170,7 +171,7 @@ fn describe_v2(file: &[u8]) -> Value {
     joined(describe_info(&info), json!({ "errors": errors, "cohorts": cohorts, "reconstructed": values }))
 }
 
-/// A line for each innermost list.
+/// Formats JSON with one line for each innermost list.
 fn text(value: &Value) -> String {
     fn write(value: &Value, indent: usize, out: &mut String) {
         let nested = |v: &Value| v.is_array() || v.is_object();
@@ -213,11 +214,11 @@ fn files(folder: &Path) -> Vec<(String, PathBuf)> {
     files.into_iter().map(|path| (path.file_stem().unwrap().to_str().unwrap().to_owned(), path)).collect()
 }
 
-/// Makes what is missing, if asked to, and checks that a folder holds what it should.
+/// Makes missing vectors on request, and checks the content of a folder.
 ///
 /// - `made`: names and bytes
-/// - `forged`: names of what no encoder writes
-/// - `describe`: what a file means
+/// - `forged`: names of files that no encoder writes
+/// - `describe`: decodes a file to JSON
 /// - returns: names and bytes
 fn vectors_of(
     folder: &Path,
@@ -290,8 +291,8 @@ fn every_vector_of_version_2_means_what_it_meant() {
     }
 }
 
-/// The bytes in an annotated dump of `docs/FORMAT.md`: an offset, bytes or `00 x N`, and what they mean, each two blanks
-/// apart.
+/// The bytes of an annotated dump in `docs/FORMAT.md`. A line has an offset, bytes or `00 x N`, and their meaning,
+/// separated by two blanks.
 fn dumped(text: &str, heading: &str) -> Vec<u8> {
     let (_, dump) = text.split_once(&format!("\n## {heading}\n")).unwrap();
     let dump = dump.split("```\n").nth(1).unwrap();
@@ -320,7 +321,7 @@ fn the_annotated_files_are_the_vectors() {
     }
 }
 
-/// Kind, section and field of an error, as the table of refused files names them.
+/// Kind, section and field of an error, as in the table of refused files.
 fn kind(error: &DecodeError) -> (&'static str, &'static str, &'static str) {
     match error {
         DecodeError::Format { section, field, .. } => ("format", section, field),
@@ -330,7 +331,7 @@ fn kind(error: &DecodeError) -> (&'static str, &'static str, &'static str) {
     }
 }
 
-/// All files of a folder that must be refused, and why.
+/// All files of a folder that must be refused, and the reasons.
 fn refused_files(folder: &Path) -> Vec<(Vec<u8>, Value)> {
     let table: Value = serde_json::from_slice(&fs::read(folder.join("refused.json")).unwrap()).unwrap();
     let table = table["files"].as_array().unwrap();
@@ -351,8 +352,8 @@ fn every_refused_file_is_refused_for_its_reason() {
         let error = decode_cohorts(&file, &DecodeLimits::default()).expect_err(name);
         let expected = ["kind", "section", "field"].map(|key| row[key].as_str().unwrap());
         assert_eq!(<[&str; 3]>::from(kind(&error)), expected, "{name}: {error}");
-        // However the bytes arrive. Where segments meet, gaps, order, and what cohorts have in common are seen by who reads
-        // the whole file.
+        // A push decoder refuses the file, too, except for errors that only a reader of the whole file sees: borders of
+        // segments, gaps, order, and common properties of cohorts.
         let is_of_whole = row["field"] == "keypoints" || row["field"] == "attributes" || row["section"] == "file";
         let mut decoder = tcgs_codec::Decoder::new(DecodeLimits::default());
         let refused = file.chunks(13).any(|bytes| decoder.push(bytes).is_err());
@@ -360,7 +361,7 @@ fn every_refused_file_is_refused_for_its_reason() {
     }
 }
 
-/// Where version 2 may grow, a decoder says that a newer one may read the file, and says so of nothing else.
+/// Where a later version may extend version 2, and only there, the decoder says that a newer one may read the file.
 #[test]
 fn what_a_newer_decoder_may_read_is_told_from_what_is_wrong() {
     let refused = refused_files(&folder().join("refused_v2"));

@@ -1,4 +1,4 @@
-//! Cameras in files: what is written is read, and no bytes make the reader panic.
+//! Cameras in files: written cameras are read back, and no bytes make the reader panic.
 
 #![allow(clippy::unwrap_used)] // helpers of tests are not counted as tests
 
@@ -10,7 +10,7 @@ fn read(bytes: &[u8]) -> Vec<FileCamera> {
     read_views(&[(VIEWS.into(), bytes.to_vec())])
 }
 
-/// JSON that looks like views, with numbers that no camera has.
+/// JSON that resembles views, with numbers that no camera has.
 fn nearly_views() -> impl Strategy<Value = String> {
     let number = prop_oneof![
         Just("0".to_owned()),
@@ -56,7 +56,7 @@ proptest! {
         for i in 0..2 {
             prop_assert!((found.focal[i] - camera.focal[i]).abs() < 0.0051);
         }
-        // Written anew they may differ by a last digit, and no more than that.
+        // A second rounding may change a last digit, and no more.
         prop_assert_eq!(read(&write_views(&[FileCamera { name: "7".into(), camera: found.clone() }])).len(), 1);
     }
 

@@ -1,4 +1,4 @@
-//! Scenes of the bench as files, so that other renderers can draw the same and be timed on it.
+//! Scenes of the bench as files, so that other renderers can draw and time the same scenes.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -15,10 +15,10 @@ use tcgs_render::RenderSettings;
 use super::scene::BenchScene;
 use crate::output::NewFolder;
 
-/// Files of a scene: the Gaussians as 3D Gaussian splatting stores them; the camera; and what it sees of them.
+/// Files of a scene: the Gaussians as 3D Gaussian splatting stores them, the camera, and the camera's image.
 const FILES: [&str; 3] = ["gaussians.ply", "camera.json", "image.npz"];
 
-/// Writes every scene, seen by its first camera, into a folder of its own: `NAME-WxH`.
+/// Writes every scene, seen by its first camera, into its own folder `NAME-WxH`.
 ///
 /// - `folder`: a new one, or with `force` one that this command wrote
 /// - returns: the folder of every scene
@@ -57,7 +57,7 @@ fn write_with(path: &Path, write: impl FnOnce(&mut BufWriter<File>) -> std::io::
     file.flush()
 }
 
-/// The array `image`, `[H, W, 3]`: unclamped floats before black, display-referred as the colours are.
+/// Writes the array `image`, `[H, W, 3]`: unclamped floats over black, display-referred like the colours.
 fn write_image(file: &mut BufWriter<File>, image: &Image) -> std::io::Result<()> {
     let planes: [&[f32]; 3] = std::array::from_fn(|channel| image.plane(channel));
     let pixels: Vec<f32> = (0..image.width * image.height).flat_map(|i| planes.map(|plane| plane[i])).collect();

@@ -1,4 +1,4 @@
-//! Taking the times.
+//! Measures the times of the bench.
 
 use std::time::Instant;
 
@@ -12,48 +12,48 @@ use tcgs_train::{Phase, Rates, Schedule, State, TrainConfig};
 use super::part::Part;
 use super::scene::BenchScene;
 
-/// How often things are done.
+/// Numbers of repetitions.
 #[derive(Clone, Copy)]
 pub struct Counts {
-    /// Before the first that counts.
+    /// Samples before the first that counts.
     pub warm_up: usize,
     /// Samples of stages.
     pub samples: usize,
-    /// Iterations in a row without a clock.
+    /// Consecutive iterations without a timer between them.
     pub in_a_row: usize,
 }
 
-/// Learning rates are those of a training times this: work is the same at every sample because nothing moves far.
+/// Factor on the learning rates of a training. Gaussians hardly move, so the work is the same at every sample.
 const RATE_SHARE: f32 = 1e-4;
 
-/// What is found of one scene.
+/// Results of one scene.
 pub struct Measured {
     /// Drawing three channels; nothing is kept for a gradient.
     pub forward: Samples,
-    /// Drawing three channels and taking the gradient back.
+    /// Drawing three channels and computing the gradient.
     pub forward_backward: Samples,
     /// One iteration of training.
     pub iteration: Samples,
-    /// One of the first timestep, before quantisation starts.
+    /// One iteration of the first timestep, before quantisation starts.
     pub first_iteration: Samples,
-    /// One that trains a part of the scene.
+    /// One iteration that trains a part of the scene.
     pub part_iteration: Samples,
     /// Gaussians of this part.
     pub part_gaussians: usize,
-    /// Share of the tiles of all views that it draws.
+    /// Share of the tiles of all views that this part draws.
     pub part_tiles: f64,
-    /// Of one iteration among many, milliseconds by the clock on the wall.
+    /// Mean wall-clock time of an iteration among many, milliseconds.
     pub wall_ms: f64,
-    /// Means over the samples of `forward`.
+    /// Mean number of splat-tile pairs over the samples of `forward`.
     pub pairs: f64,
-    /// Likewise: splats that reach a tile.
+    /// Mean number of splats that reach a tile, over the same samples.
     pub splats: f64,
 }
 
-/// Times of the same work done several times; at least once.
+/// Times of repetitions of the same work; at least one.
 pub struct Samples(Vec<StageTimes>);
 
-/// What is said of a few times, milliseconds.
+/// Median and percentiles of a few times, milliseconds.
 #[derive(Clone, Copy)]
 pub struct Spread {
     pub median: f64,
@@ -75,21 +75,21 @@ impl Spread {
 }
 
 impl Samples {
-    /// From the first stage's begin to the last one's end.
+    /// Times from the start of the first stage to the end of the last one.
     pub fn total(&self) -> Spread {
         Spread::of(self.0.iter().map(|times| times.total))
     }
 
-    /// Of every stage, in the order in which they run.
+    /// Times of every stage, in the order in which the stages run.
     pub fn stages(&self) -> Vec<(&'static str, Spread)> {
         let of_stage = |i: usize| Spread::of(self.0.iter().map(move |times| times.stages[i].1));
         self.0[0].stages.iter().enumerate().map(|(i, &(name, _))| (name, of_stage(i))).collect()
     }
 }
 
-/// Measures everything of one scene.
+/// Measures everything about one scene.
 ///
-/// - `step`: called after each of [`STEPS`] parts
+/// - `step`: called after each of the [`STEPS`] parts
 pub fn measure(
     backend: &Backend,
     scene: &BenchScene,
@@ -125,10 +125,10 @@ pub fn measure(
     })
 }
 
-/// Parts of [`measure`].
+/// Number of parts of [`measure`].
 pub const STEPS: usize = 5;
 
-/// Draws, with one camera after another.
+/// Draws with one camera after another.
 fn render(
     backend: &Backend,
     drawn: &Activated,
@@ -145,7 +145,7 @@ fn render(
     Ok(samples.into_iter().unzip())
 }
 
-/// Draws with one camera, and takes the time.
+/// Draws with one camera and measures the time.
 type Drawing<'a> = Box<dyn FnMut(&Camera) -> anyhow::Result<(StageTimes, PairCounts)> + 'a>;
 
 fn drawing<'a>(
@@ -179,12 +179,12 @@ fn render_on_cpu(drawn: &Activated, camera: &Camera, backward: bool) -> (StageTi
     (laps.finish(), saved.counts())
 }
 
-/// Iterations of one kind.
+/// One kind of iteration.
 struct Case<'a> {
     scene: &'a BenchScene,
     state: State,
     scenery: Option<Scenery>,
-    /// Positions of the views that they go round.
+    /// Positions of the views to cycle through.
     cameras: Vec<usize>,
     phase: Phase,
 }
@@ -205,7 +205,7 @@ impl<'a> Case<'a> {
     }
 }
 
-/// Trains, one camera after another; also returns the mean of many iterations by the clock on the wall.
+/// Trains with one camera after another; also returns the mean wall-clock time of many iterations, milliseconds.
 fn iterate(backend: &Backend, case: Case<'_>, counts: Counts) -> anyhow::Result<(Vec<StageTimes>, f64)> {
     let Case { scene, state, scenery, cameras, phase } = case;
     if cameras.is_empty() {
@@ -244,7 +244,7 @@ fn iterate(backend: &Backend, case: Case<'_>, counts: Counts) -> anyhow::Result<
     engine.wait()?;
     let wall_ms = begin.elapsed().as_secs_f64() * 1e3 / counts.in_a_row as f64;
     let times = (0..counts.samples).map(|i| engine.profile(&step(i))).collect::<Result<Vec<_>, _>>()?;
-    // What computes nonsense may do so at any speed.
+    // The time of a training that diverges is meaningless.
     for terms in engine.losses()? {
         if let Some((name, value, _)) = terms.terms(&config.weights).iter().find(|term| !term.1.is_finite()) {
             bail!("{}: the loss {name} became {value}, expected a number; its times mean nothing", scene.name);

@@ -20,22 +20,23 @@ use crate::terminal::say;
 
 /// Gaussians of the built-in scene.
 const NUM_GAUSSIANS: usize = 300_000;
-/// The same on software that acts as a GPU: there more take minutes, and Mesa allows no buffer that holds them.
+/// The same on a software GPU: more Gaussians take minutes, and Mesa allows no buffer that holds them.
 const NUM_GAUSSIANS_SOFTWARE: usize = 30_000;
-/// Sizes that the built-in scene is drawn at.
+/// Image sizes of the built-in scene.
 const SIZES: [Size; 2] = [Size { width: 640, height: 360 }, Size { width: 1352, height: 1014 }];
-/// What every mask starts from, so that all Gaussians are drawn.
+/// Initial mask logit; with it all Gaussians are drawn.
 const START_LOGIT: f32 = 1.0;
 
 /// Measure the speed of drawing and training, stage by stage
 ///
-/// Draws a built-in scene of random Gaussians that fill the view, the same on every computer, and measures: drawing
-/// three channels (forward); drawing and taking the gradient back (forward + backward); one iteration of training as
-/// in every timestep after the first, colours and segmentation, with masks, quantisation and the losses on motion; one of the
-/// first timestep, which has neither quantisation nor losses on motion; and one that trains 15 % of the Gaussians in the tiles
-/// that these reach, as the gate does.
-/// Stages are timed by the GPU's own clock where it has one. The last line is the time of an iteration when many
-/// follow each other without a clock, as in a training.
+/// Draws a built-in scene of random Gaussians that fill the view; the scene is the same on every computer. Measures
+/// drawing three channels (forward), and drawing with the gradient (forward + backward). Measures an iteration of
+/// training as in every timestep after the first: colours and segmentation, with masks, quantisation and the losses on
+/// motion. Measures an iteration of the first timestep, which has neither quantisation nor losses on motion. Measures
+/// an iteration that trains 15 % of the Gaussians in the tiles that these reach, as the gate does.
+///
+/// Stages are timed by the GPU's own clock where it has one. The last line is the time of an iteration when many follow
+/// each other without a timer between them, as in a training.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:
@@ -47,7 +48,7 @@ pub struct Arguments {
     /// Gaussians of the built-in scene [default: 300000; 30000 on software that acts as a GPU]
     #[arg(long, value_name = "N", value_parser = options::up_to::<100_000_000>, conflicts_with = "capture")]
     gaussians: Option<usize>,
-    /// Sizes of its image, one or several with commas between [default: 640x360,1352x1014]
+    /// Sizes of its image, separated by commas [default: 640x360,1352x1014]
     #[arg(long, value_name = "WxH", value_delimiter = ',', conflicts_with = "capture")]
     size: Vec<Size>,
     /// Measure on this capture's points, training cameras and images of the first frame instead
@@ -59,7 +60,7 @@ pub struct Arguments {
     /// Repetitions of each measurement, after a warm-up [default: 20; 5 on the CPU, 3 on a software GPU]
     #[arg(long, value_name = "N", value_parser = options::up_to::<1_000_000>)]
     iterations: Option<usize>,
-    /// Also write what is drawn, for other renderers to draw the same: Gaussians (PLY), camera (JSON), image (npz)
+    /// Also write the scene, for other renderers to draw: Gaussians (PLY), camera (JSON), image (npz)
     #[arg(long, value_name = "DIR")]
     write_scene: Option<PathBuf>,
     #[command(flatten)]
@@ -105,7 +106,7 @@ fn is_software(backend: &Backend) -> bool {
     backend.gpu_info().is_some_and(|info| info.is_software)
 }
 
-/// As many as asked for. By default as many as two cores do in two minutes where no GPU does it.
+/// The requested number of samples. The default takes two CPU cores about two minutes; a GPU takes more samples.
 fn counts(backend: &Backend, samples: Option<usize>) -> Counts {
     if backend.gpu_info().is_some_and(|info| !info.is_software) {
         return Counts { warm_up: 10, samples: samples.unwrap_or(20), in_a_row: 100 };

@@ -1,4 +1,4 @@
-//! A part of a scene as the gate trains it: a sixth or so of the Gaussians, in the tiles that they reach.
+//! A part of a scene as the gate trains it: about a sixth of the Gaussians, in the tiles that they reach.
 
 use std::sync::Arc;
 
@@ -13,10 +13,10 @@ use tcgs_train::{State, TrainConfig};
 
 use super::scene::{BenchScene, later_timestep};
 
-/// Share of the Gaussians that is active: that of a later timestep of Panoptic's basketball, `docs/PERFORMANCE.md`.
+/// Share of active Gaussians: that of a later timestep of Panoptic's basketball, `docs/PERFORMANCE.md`.
 const ACTIVE: f64 = 0.15;
 
-/// What an iteration of a part needs.
+/// Inputs of an iteration that trains a part.
 pub struct Part {
     /// The active Gaussians; none is held.
     pub state: State,
@@ -28,7 +28,7 @@ pub struct Part {
 }
 
 impl Part {
-    /// The Gaussians nearest to the middle of the scene.
+    /// Takes the Gaussians nearest to the middle of the scene.
     pub fn new(backend: &Backend, scene: &BenchScene) -> anyhow::Result<Self> {
         let whole = &scene.state.parameters;
         let rows = nearest(whole.gaussians.means(), ACTIVE);

@@ -1,4 +1,4 @@
-//! What is measured: Gaussians as they are in the middle of a training, cameras and images.
+//! Scenes of the bench: Gaussians as in the middle of a training, cameras and images.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -13,40 +13,40 @@ use crate::options::Size;
 
 /// One case of the bench.
 pub struct BenchScene {
-    /// For people and machines.
+    /// Name for tables and JSON.
     pub name: String,
-    /// Of a later timestep: every loss has something to do.
+    /// State of a later timestep, so that no loss is zero by construction.
     pub state: State,
-    /// Images, and where they were taken from; at least one.
+    /// Images with their cameras; at least one.
     pub targets: Vec<Target>,
 }
 
 impl BenchScene {
-    /// Where the images were taken from.
+    /// The cameras of the images.
     pub fn cameras(&self) -> Vec<Camera> {
         self.targets.iter().map(|target| target.camera.clone()).collect()
     }
 
-    /// Pixels of the first image.
+    /// Size of the first image, pixels.
     pub fn size(&self) -> Size {
         let camera = &self.targets[0].camera;
         Size { width: camera.width, height: camera.height }
     }
 }
 
-/// Focal length of the built-in scene's camera, in widths of its image: 64 degrees from side to side.
+/// Focal length of the built-in scene's camera, in widths of its image: 64 degrees horizontally.
 const FOCAL: f64 = 0.8;
-/// Largest `|x/z|` and `|y/z|` of the built-in scene: what an image of 4:3 shows. Wider images see less of it.
+/// Largest `|x/z|` and `|y/z|` of the built-in scene: the view of a 4:3 image. Wider images see less of the scene.
 const SLOPE: [f32; 2] = [0.625, 0.469];
-/// Nearest and farthest, scene units.
+/// Nearest and farthest depth, scene units.
 const DEPTH: [f32; 2] = [2.0, 6.0];
-/// Logarithms of the scales: 0.003 to 0.03 scene units, half a pixel to four at 640 pixels a row.
+/// Range of the log scales: 0.003 to 0.03 scene units, half a pixel to four pixels at 640 pixels a row.
 const LOG_SCALE: [f32; 2] = [-5.8, -3.5];
-/// Logits of the opacities: 0.12 to 0.98.
+/// Range of the logit opacities: 0.12 to 0.98.
 const LOGIT_OPACITY: [f32; 2] = [-2.0, 4.0];
 
-/// The built-in Gaussians: all over a camera's view, in no order, the left half foreground. No function is used that
-/// machines compute differently.
+/// The built-in Gaussians: they fill the camera's view in random order, and the left half is foreground. The code uses
+/// no function whose result differs between machines.
 fn random_gaussians(num_gaussians: usize, random: &mut Pcg64Mcg) -> Parameters {
     let mut g = BaseColumns::default();
     for _ in 0..num_gaussians {
@@ -103,7 +103,7 @@ pub fn of_capture(capture: &Capture, downscale: usize, seed: u64) -> anyhow::Res
     })
 }
 
-/// A state between whose timesteps everything has moved a little, quantised to mixed bit widths.
+/// A state whose Gaussians have all moved a little since the timestep before, quantised to mixed bit widths.
 pub fn later_timestep(parameters: Parameters, random: &mut Pcg64Mcg) -> anyhow::Result<State> {
     let q = TrainConfig::default().quantize;
     let mut state = State::new(parameters);

@@ -1,4 +1,4 @@
-//! The times for people and for machines.
+//! The times as text and as JSON.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -9,7 +9,7 @@ use tcgs_pipeline::Backend;
 use super::measure::{Counts, Measured, Samples, Spread};
 use super::scene::BenchScene;
 
-/// What computes, in one line.
+/// The device, in one line.
 pub fn device_line(backend: &Backend) -> String {
     match backend.gpu_info() {
         None => format!("the CPU, {} threads", rayon::current_num_threads()),
@@ -66,7 +66,7 @@ fn stages_json(samples: &Samples) -> Vec<Value> {
     stages.map(|(name, s)| json!({ "name": name, "median": s.median, "p10": s.p10, "p90": s.p90 })).collect()
 }
 
-/// One scene's times for machines, milliseconds.
+/// One scene's times as JSON, milliseconds.
 ///
 /// - `files`: the folder that the scene was written to
 pub fn scene_json(scene: &BenchScene, measured: &Measured, counts: Counts, files: Option<&Path>) -> Value {
@@ -98,7 +98,7 @@ pub fn scene_json(scene: &BenchScene, measured: &Measured, counts: Counts, files
     })
 }
 
-/// The result for machines.
+/// The whole result as JSON.
 pub fn json(backend: &Backend, scenes: Vec<Value>) -> Value {
     let threads = rayon::current_num_threads();
     match backend.gpu_info() {

@@ -1,4 +1,4 @@
-//! How well the demo shows what no camera saw at the first timestep.
+//! Quality of the parts of the demo's scene that no camera saw at the first timestep.
 
 use tcgs_capture::{Capture, Late, Split, SyntheticSettings};
 use tcgs_core::{Image, View};
@@ -6,23 +6,23 @@ use tcgs_metrics::psnr_masked;
 use tcgs_pipeline::OpenScene;
 use tcgs_render::{DrawAny, RenderSettings};
 
-/// Fewer pixels of an image say little.
+/// Least number of pixels in an image for a meaningful PSNR.
 const MIN_PIXELS: usize = 20;
 
 /// The images of held-out cameras, in the order of their frames, and which of their pixels are late.
 pub struct LateViews(Vec<(View, Late)>);
 
-/// Mean PSNR over the images of held-out cameras that show some of it, dB; not a number if none does.
+/// Mean PSNR over the images of held-out cameras that show late pixels, dB; NaN if no image does.
 #[derive(Clone, Copy)]
 pub struct LateQuality {
-    /// Over the pixels of what has arrived.
+    /// PSNR over the pixels of objects that entered later.
     pub arrived: f64,
-    /// Over the pixels of what stands still and was hidden.
+    /// PSNR over the pixels of static surfaces that were hidden.
     pub uncovered: f64,
 }
 
 impl LateViews {
-    /// - `settings`: of the capture, as it was synthesised
+    /// - `settings`: those that the capture was synthesised with
     pub fn of(capture: &Capture, settings: &SyntheticSettings) -> anyhow::Result<Self> {
         let mut all = Vec::new();
         for frame in 0..capture.num_frames() {
@@ -34,7 +34,7 @@ impl LateViews {
         Ok(Self(all))
     }
 
-    /// - `scene`: of all frames of the capture
+    /// - `scene`: covers all frames of the capture
     pub fn measure(&self, scene: &OpenScene, renderer: &DrawAny) -> anyhow::Result<LateQuality> {
         let (mut arrived, mut uncovered) = (Vec::new(), Vec::new());
         for of_frame in self.0.chunk_by(|(a, _), (b, _)| a.frame == b.frame) {

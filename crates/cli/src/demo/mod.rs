@@ -32,14 +32,14 @@ const REFINE_ITERATIONS: usize = 2500;
 /// Marks a folder as made by this command.
 const MARKER: &str = ".tcgs-demo";
 const MARKER_TEXT: &str = "made by tcgs demo\n";
-/// What the folder holds; anything else in it is somebody's, and stays when the demo runs again.
+/// Entries of the folder that the demo writes. All other entries are the user's, and stay when the demo runs again.
 const OURS: [&str; 6] = [MARKER, "capture", "run", "scene.tcgs", "frames", "report.html"];
 
 /// Run everything on a small synthetic capture: no data, no GPU, about a minute on two cores
 ///
-/// Ray-traces moving objects in a room, one of which enters later, trains on the images, compresses, refines
-/// the codes on the images of all timesteps, and measures on held-out cameras.
-/// The folder then holds capture/, run/, scene.tcgs, frames/ (ground truth beside render) and report.html.
+/// Ray-traces moving objects in a room, one of which enters later, trains on the images, compresses, refines the codes
+/// on the images of all timesteps, and measures on held-out cameras. The folder then holds capture/, run/, scene.tcgs,
+/// frames/ (ground truth beside render) and report.html.
 #[derive(clap::Args)]
 #[command(mut_arg("backend", |backend| backend.help("What computes [default: cpu; with --device: gpu]")))]
 #[command(after_help = "\
@@ -84,14 +84,14 @@ impl Quality {
     }
 }
 
-/// Over the pixels of moving objects.
+/// PSNR over the pixels of moving objects.
 fn psnr_foreground(evaluation: &Evaluation) -> f64 {
     evaluation.mean(|i| i.psnr_foreground).unwrap_or(f64::NAN)
 }
 
-/// Everything that the table, the page and the JSON tell.
+/// Contents of the table, the page and the JSON.
 struct Outcome {
-    /// From the run's floats to the file.
+    /// Stages from the run's floats to the file.
     stages: Vec<Measured>,
     compressed: Compressed,
     uncompressed: Evaluation,
@@ -122,7 +122,7 @@ impl Outcome {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.begin(&[], &[])?;
     check_place(&arguments.out)?;
-    // The demo says what two cores do.
+    // The demo's default is the CPU: it shows what two cores can do.
     let backend = arguments.backend.open(BackendName::Cpu)?;
     let folder = NewFolder::begin(&arguments.out, true, |_| true)?;
     let begun = folder.path().join(MARKER);
@@ -133,7 +133,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     write_json(arguments, &outcome)
 }
 
-/// A folder that someone else made is not replaced.
+/// Refuses a folder that the demo did not make.
 fn check_place(out: &Path) -> anyhow::Result<()> {
     let is_ours = || fs::read(out.join(MARKER)).is_ok_and(|text| text == MARKER_TEXT.as_bytes());
     if !out.exists() || is_empty_folder(out) || is_ours() {
@@ -154,7 +154,7 @@ fn pipeline(arguments: &Arguments, backend: &Backend, folder: &Path) -> anyhow::
 
     say("1/4  ray-tracing a capture: moving objects in a room")?;
     let settings = SyntheticSettings { seed: arguments.job.seed.unwrap_or(0), ..SyntheticSettings::default() };
-    // What fails here is the disk, not an input.
+    // A failure here is the disk's, not that of an input.
     write_synthetic(&folder.join("capture"), &settings).map_err(|error| anyhow::anyhow!("{error}"))?;
     let capture = Capture::open(&folder.join("capture"))?;
     lap("synthesise");
@@ -206,14 +206,14 @@ fn pipeline(arguments: &Arguments, backend: &Backend, folder: &Path) -> anyhow::
 fn config(arguments: &Arguments, capture: &Capture) -> anyhow::Result<TrainConfig> {
     let mut config = TrainConfig { seed: arguments.job.seed.unwrap_or(0), ..TrainConfig::default() };
     [config.schedule.first_iterations, config.schedule.rest_iterations] = ITERATIONS;
-    // In so few iterations the reset is what makes density control add enough.
+    // With so few iterations density control adds enough Gaussians only with the reset.
     let paper = TrainConfig::preset(Preset::Paper).densify;
     (config.densify.reset, config.densify.prune_large) = (paper.reset, paper.prune_large);
-    // What arrives is to be as good as what was there: it is cloned and split by the same threshold.
+    // Objects that enter later are cloned and split by the same threshold as the rest, for the same quality.
     config.births.gradient_threshold = config.densify.gradient_threshold;
     config.data.end_frame = capture.num_frames();
     config.data.frame_rate = capture.frame_rate();
-    // Where the capture will be once the folder has its name.
+    // The capture's path after the folder has its final name.
     let out = std::path::absolute(&arguments.out).with_context(|| format!("{}", arguments.out.display()))?;
     config.data.capture = out.join("capture").display().to_string();
     Ok(config)
@@ -222,13 +222,13 @@ fn config(arguments: &Arguments, capture: &Capture) -> anyhow::Result<TrainConfi
 fn compress_options(folder: &Path, keypoints: bool) -> CompressOptions {
     CompressOptions {
         keypoints: CompressSettings { keypoints, ..CompressSettings::default() },
-        // The run names the place that the capture will have only when all is done.
+        // The run's config names the final path of the capture, which does not exist yet.
         capture: Some(folder.join("capture")),
         ..CompressOptions::default()
     }
 }
 
-/// The file that the demo leaves.
+/// The file that the demo writes.
 fn compress_refined(scene: &OpenScene, folder: &Path, backend: &Backend) -> anyhow::Result<Compressed> {
     let options = CompressOptions { min_share: RefineOptions::MIN_SHARE, ..compress_options(folder, true) };
     let pruned = PrunedScene::new(scene, &options)?;
@@ -240,8 +240,8 @@ fn compress_refined(scene: &OpenScene, folder: &Path, backend: &Backend) -> anyh
     Ok(pruned.account(&options, refined.compact, refined.file)?)
 }
 
-/// Quality after every stage up to the file that is not refined. Keypoints and file differ in bytes alone: the last step loses
-/// nothing.
+/// Quality after every stage up to the file that is not refined. The stages keypoints and file differ only in bytes:
+/// the last step is lossless.
 fn measure_stages(
     scene: &OpenScene,
     unrefined: Compressed,

@@ -17,9 +17,9 @@ use tcgs_train::Run;
 use super::Outcome;
 use crate::output::show_bytes;
 
-/// Timesteps that the report shows, spread over the clip.
+/// Number of timesteps in the report, spread over the clip.
 const SHOWN: usize = 4;
-/// Pixels of the report's pictures are enlarged by this, to show what is sharp and what is not.
+/// Enlargement of the report's pictures, which makes blur visible.
 const ENLARGED: usize = 3;
 /// Bins of the masks' histogram.
 const MASK_BINS: usize = 20;
@@ -59,7 +59,7 @@ pub fn write_frames(
     Ok(pictures)
 }
 
-/// Left and right with a white line between.
+/// Both images side by side with a white line between them.
 fn side_by_side(left: &Image, right: &Image) -> RgbImage {
     let (width, height) = (left.width, left.height);
     let (left, right) = (left.to_rgb8(), right.to_rgb8());
@@ -137,7 +137,7 @@ fn series(name: &str, evaluation: &Evaluation, metric: impl Fn(&ImageScore) -> O
     Series { name: name.into(), values: (0..timesteps).map(|t| at(t).unwrap_or(f64::NAN)).collect() }
 }
 
-/// Iterations counted over the whole run, and losses, from the run's metrics.
+/// Losses over the iterations of the whole run, from the run's metrics.
 fn loss_curve(run: &Run) -> anyhow::Result<Vec<(u64, f32)>> {
     let mut curve = Vec::new();
     let mut done = 0;
@@ -185,7 +185,7 @@ fn bits_histogram(outcome: &Outcome) -> Vec<Series> {
         .collect()
 }
 
-/// Without the empty end.
+/// Drops trailing zeros.
 fn trimmed(mut counts: Vec<f64>) -> Vec<f64> {
     let used = counts.iter().rposition(|&c| c > 0.0).map_or(0, |i| i + 1);
     counts.truncate(used);

@@ -1,4 +1,4 @@
-//! `tcgs eval`: how close a scene comes to the images of a capture.
+//! `tcgs eval`: the quality of a scene on the images of a capture.
 
 mod table;
 
@@ -16,13 +16,13 @@ use crate::scene::{SceneOptions, describe, note_replaced};
 use crate::teller::Teller;
 use crate::terminal::{note, say};
 
-/// Names the weights of LPIPS where no option does; none if it is empty.
+/// Environment variable with the file of LPIPS weights, used without `--lpips-weights`; an empty value means none.
 const WEIGHTS_VARIABLE: &str = "TCGS_LPIPS_WEIGHTS";
 
 /// Measure the quality of a scene on a capture's images
 ///
-/// Renders every camera at every frame and compares. The defaults for frames and downscale are those that
-/// the scene was trained with.
+/// Renders every camera at every frame and compares. The defaults of frames and downscale are those of the scene's
+/// training.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:
@@ -44,8 +44,8 @@ pub struct Arguments {
     /// Average images over N x N pixels [default: as the scene was trained]
     #[arg(long, value_name = "N", value_parser = options::positive)]
     downscale: Option<usize>,
-    /// Also measure as publications do that evaluate this way, under their names; colours are then those that were recorded,
-    /// without the gains of capture.toml
+    /// Also compute the metrics of publications that use this protocol, under their names. Colours are then as
+    /// recorded, without the gains of capture.toml
     #[arg(long)]
     protocol: Option<ProtocolName>,
     /// Weights of LPIPS, as scripts/fetch_lpips_weights.py makes them [default: the file that TCGS_LPIPS_WEIGHTS names;
@@ -61,7 +61,7 @@ pub struct Arguments {
     job: JobOptions,
 }
 
-/// Each is described in full where its table is printed.
+/// The table's caption describes each in full.
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum ProtocolName {
     /// Temporally Compressed 3D Gaussian Splatting: PSNR of each channel alone, not clamped; LPIPS by VGG
@@ -137,7 +137,7 @@ fn flattery(split: Split) -> &'static str {
     }
 }
 
-/// Describes the evaluation in the terms of a protocol, for comparison with it.
+/// Describes this evaluation in the terms of a protocol, for comparison with the protocol's own rules.
 fn here(
     chosen: &CameraChoice,
     capture: &Capture,

@@ -1,4 +1,4 @@
-//! An evaluation for people and for spreadsheets.
+//! An evaluation as a text table and as CSV.
 
 use std::fmt::Write;
 
@@ -6,11 +6,11 @@ use tcgs_metrics::{Backbone, MIN_MS_SSIM_SIDE, Protocol};
 
 use tcgs_pipeline::{COLUMNS, Evaluation, ImageScore, MetricColumn, protocol_mean};
 
-/// In the table alone: few captures have what it needs.
+/// Appears in the table only: few captures have the foreground masks that it needs.
 const FOREGROUND: MetricColumn =
     MetricColumn { key: "psnr_foreground", title: "PSNR of foreground", decimals: 2, of: |i| i.psnr_foreground };
 
-/// Means of every timestep and of all images, and why a column is empty.
+/// Means of every timestep and of all images, and the reason for each empty column.
 pub fn text(evaluation: &Evaluation, has_weights: bool) -> String {
     let columns = || COLUMNS.iter().chain([&FOREGROUND]);
     let width = |column: &MetricColumn| column.title.len().max(6);
@@ -49,7 +49,7 @@ pub fn text(evaluation: &Evaluation, has_weights: bool) -> String {
     table + &format!("\n{:.1} frames a second ({ms:.2} ms an image, {})", 1000.0 / ms, evaluation.device)
 }
 
-/// What a protocol calls its metrics.
+/// The metrics of a protocol under their published names.
 pub fn protocol_line(protocol: Protocol, evaluation: &Evaluation) -> String {
     let rules = protocol.rules();
     let metrics = rules.metrics.iter().enumerate().map(|(index, metric)| {
@@ -63,7 +63,7 @@ fn decimal(value: Option<f64>, digits: usize) -> String {
     value.map_or_else(|| "-".into(), |value| format!("{value:.digits$}"))
 }
 
-/// One line an image; what is not measured is empty. A protocol's metrics come last.
+/// One line per image; a metric that was not measured is empty. A protocol's metrics come last.
 pub fn csv(evaluation: &Evaluation, protocol: Option<Protocol>) -> String {
     let rules = protocol.map(Protocol::rules);
     let mut text = String::from("timestep,camera");

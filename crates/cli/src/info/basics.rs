@@ -1,4 +1,4 @@
-//! The basics of a scene of any kind but `.tcgs`. For anything else one line names its kind.
+//! The basics of a scene of any kind but `.tcgs`. Anything else gets one line that names its kind.
 
 use std::path::Path;
 
@@ -14,7 +14,7 @@ use crate::terminal::say;
 
 /// Prints the basics of a scene.
 ///
-/// - `source`: how it is read
+/// - `source`: options for reading it
 /// - `data`: name of application data, which no such scene has
 /// - returns: the same as JSON
 pub fn print(path: &Path, source: SourceOptions, data: Option<&str>) -> anyhow::Result<Value> {
@@ -65,7 +65,7 @@ pub fn print(path: &Path, source: SourceOptions, data: Option<&str>) -> anyhow::
     }))
 }
 
-/// The error of opening. For a capture or videos it names their kind.
+/// Turns the error of opening into one that names the kind if the path is a capture or holds videos.
 fn what_it_is(path: &Path, error: PipelineError) -> anyhow::Error {
     if path.is_dir() && RawFootage::is_in(path).unwrap_or(false) {
         wrong_input(format!(
@@ -89,7 +89,7 @@ pub struct Bounds {
 }
 
 impl Bounds {
-    /// None without any Gaussian.
+    /// The bounds of the means; `None` without any Gaussian.
     ///
     /// - `means`: `[N, 3]`
     pub fn of(means: &[[f32; 3]]) -> Option<Self> {
@@ -100,13 +100,13 @@ impl Bounds {
         }))
     }
 
-    /// Prints them as a line of a table.
+    /// Prints the bounds as a line of a table.
     pub fn print(&self) -> anyhow::Result<()> {
         let corner = |point: [f32; 3]| point.map(|x| format!("{x:.4}")).join(" ");
         say(&format!("bounds        {} to {}, at the first timestep", corner(self.min), corner(self.max)))
     }
 
-    /// For machines.
+    /// The bounds as JSON.
     pub fn into_json(self) -> Value {
         json!({ "min": self.min, "max": self.max })
     }

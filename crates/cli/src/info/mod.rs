@@ -1,4 +1,4 @@
-//! `tcgs info`: what is in a `.tcgs` file, and the basics of any other scene.
+//! `tcgs info`: the contents of a `.tcgs` file, and the basics of any other scene.
 
 mod basics;
 
@@ -54,7 +54,7 @@ pub struct Arguments {
     job: JobOptions,
 }
 
-/// Longest file that is read whole, bytes. Only the tables of a longer one are read.
+/// Longest file that is read whole, bytes. A longer file has only its tables read.
 const MOST_READ: u64 = 64_000_000;
 
 /// Runs the command.
@@ -142,7 +142,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Says what is left of a file that was cut.
+/// Describes the rest of a file that was cut.
 fn tell_loss<R>(arguments: &Arguments, file: &SceneFile<R>) {
     if let Some(loss) = file.loss() {
         let (num_gaussians, num_timesteps) = (file.info().num_gaussians, file.info().num_timesteps);
@@ -150,12 +150,12 @@ fn tell_loss<R>(arguments: &Arguments, file: &SceneFile<R>) {
     }
 }
 
-/// Whether nothing contradicts what the file says of its scene.
+/// Whether the sections do not contradict the description of the scene: all of them decode, or none was read.
 fn is_known(info: &FileInfo) -> bool {
     info.contents.is_some() || info.sections.iter().all(|section| section.is_whole && section.checksum_ok.is_none())
 }
 
-/// All cohorts are, or none.
+/// Whether the scene is antialiased; all cohorts are, or none is.
 fn is_antialiased(info: &FileInfo) -> bool {
     info.cohorts.first().is_some_and(|cohort| cohort.layout.is_antialiased())
 }
@@ -208,7 +208,7 @@ fn described(section: &SectionInfo, num_cohorts: usize) -> String {
     }
 }
 
-/// Size and state of some sections together.
+/// Total size and common state of several sections.
 fn summed<'a>(sections: impl Iterator<Item = &'a SectionInfo>) -> (String, &'static str) {
     let sections: Vec<_> = sections.collect();
     let checksums = if sections.iter().any(|s| s.is_whole && s.checksum_ok == Some(false)) {
@@ -229,7 +229,7 @@ fn show_layers(layers: &[u32]) -> String {
     layers.iter().map(u32::to_string).collect::<Vec<_>>().join(" + ")
 }
 
-/// The parts of a file of one cohort.
+/// Prints the segments of a file with one cohort.
 ///
 /// - `first`: frame of the first timestep
 fn print_segments(info: &FileInfo, cohort: &CohortInfo, first: usize) -> anyhow::Result<()> {
@@ -249,11 +249,11 @@ fn print_segments(info: &FileInfo, cohort: &CohortInfo, first: usize) -> anyhow:
     Ok(())
 }
 
-/// The cohorts of a file of several.
+/// Prints the cohorts of a file with several.
 ///
 /// - `first`: frame of the first timestep
 fn print_cohorts(info: &FileInfo, first: usize) -> anyhow::Result<()> {
-    // By cohort; the last are those of the whole scene.
+    // Sections by cohort; the last entry holds those of the whole scene.
     let mut sections: Vec<Vec<&SectionInfo>> = vec![Vec::new(); info.cohorts.len() + 1];
     for section in &info.sections {
         sections[section.cohort.unwrap_or(info.cohorts.len())].push(section);
@@ -271,7 +271,7 @@ fn print_cohorts(info: &FileInfo, first: usize) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// - `bounds`: at the first timestep, if it can be read
+/// - `bounds`: at the first timestep; `None` if they cannot be read
 fn machine_readable(info: &FileInfo, bounds: Option<Bounds>) -> Value {
     let contents = info.contents.as_ref();
     let scene = is_known(info).then_some(&info.scene);

@@ -1,4 +1,4 @@
-//! Where the cameras of a folder of videos stand: found by COLMAP, refined, scaled; and what is said of it.
+//! Poses of the cameras of a folder of videos: found by COLMAP, refined, scaled, and reported.
 
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -16,7 +16,7 @@ use crate::interrupt;
 use crate::progress::Progress;
 use crate::terminal::say;
 
-/// Refuses cameras that move.
+/// Refuses moving cameras.
 pub fn check_still(source: &Path, description: &CaptureDescription) -> anyhow::Result<()> {
     let moving = moving_cameras(source, description)?;
     if moving.is_empty() {
@@ -30,7 +30,7 @@ pub fn check_still(source: &Path, description: &CaptureDescription) -> anyhow::R
     )))
 }
 
-/// Names cameras of a calibration that have one pose, before anything is computed with it.
+/// Prints cameras of a calibration that share one pose, before any computation uses it.
 pub fn note_same_poses(description: &CaptureDescription) -> anyhow::Result<()> {
     let poses: Vec<_> = description.cameras.iter().map(|camera| camera.camera_from_world).collect();
     for group in same_poses(&poses) {
@@ -40,13 +40,13 @@ pub fn note_same_poses(description: &CaptureDescription) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Has COLMAP place the cameras of a description.
+/// Finds the poses of the cameras by COLMAP.
 ///
-/// - `temporary`: a folder that is removed at the end
+/// - `temporary`: a folder that the caller removes
 pub fn find(source: &Path, description: &mut CaptureDescription, temporary: &Path) -> anyhow::Result<FoundCameras> {
     let work = temporary.join("work");
     std::fs::create_dir(&work).with_context(|| format!("writing {}", work.display()))?;
-    // COLMAP is a process of its own, which is ended first.
+    // COLMAP is a child process, which a signal must end first.
     let found =
         interrupt::politely(|| with_progress("cameras", 6, |tell| find_cameras(source, description, &work, tell)));
     interrupt::check()?;
@@ -64,7 +64,7 @@ pub fn find(source: &Path, description: &mut CaptureDescription, temporary: &Pat
     Ok(found)
 }
 
-/// Refines a calibration where that makes it better, and says by how much.
+/// Refines a calibration if that lowers its errors, and prints by how much.
 pub fn refine(source: &Path, description: &mut CaptureDescription) -> anyhow::Result<Option<Refinement>> {
     let refinement = with_progress("refining", 3, |tell| refine_cameras(source, description, tell))?;
     let lines = match &refinement {
@@ -82,9 +82,9 @@ pub fn refine(source: &Path, description: &mut CaptureDescription) -> anyhow::Re
     Ok(refinement)
 }
 
-/// Scales all lengths to a distance that was measured.
+/// Scales all lengths to a measured distance.
 ///
-/// - returns: by how much
+/// - returns: the factor
 pub fn scale(source: &Path, description: &mut CaptureDescription, scale: &Scale) -> anyhow::Result<f64> {
     let [a, b] = &scale.cameras;
     let factor = scale_cameras(description, [a, b], scale.metres)
@@ -97,7 +97,7 @@ pub fn scale(source: &Path, description: &mut CaptureDescription, scale: &Scale)
     Ok(factor)
 }
 
-/// What became of a calibration, for machines.
+/// The outcome of a refinement as JSON.
 pub fn refinement_json(refinement: &Refinement, description: &CaptureDescription) -> Value {
     let names = description.cameras.iter().map(|camera| &camera.name);
     let of_camera: Vec<Value> = names
@@ -150,9 +150,9 @@ fn in_words(refinement: &Refinement, description: &CaptureDescription) -> Vec<St
     lines
 }
 
-/// Runs something that tells what it does, and ends it on Ctrl-C.
+/// Shows the progress of a call, and stops it after Ctrl-C.
 ///
-/// - `num_steps`: of different names, up to a comma, that are usually told
+/// - `num_steps`: usual number of steps; the text up to a comma identifies a step
 pub fn with_progress<T>(
     name: &'static str,
     num_steps: usize,

@@ -1,4 +1,4 @@
-//! `tcgs prepare --check`: what the doctor found, in words, numbers, a picture and a page.
+//! `tcgs prepare --check`: the diagnosis in words, numbers, a picture and a page.
 
 use std::path::Path;
 
@@ -14,21 +14,21 @@ use crate::output::write_file;
 use crate::progress::Progress;
 use crate::terminal::say;
 
-/// The page that a prepared capture holds.
+/// Name of the page in a prepared capture.
 pub const PAGE: &str = "check.html";
 
-/// What a dry run says of the last step.
+/// A dry run's line for this step.
 pub const WOULD: &str = "check: would be made, with a page";
 
-/// Share of the points with a measured depth from which on what cameras see joins up between them.
+/// Least share of points with a measured depth for good pictures between the cameras.
 const MOSTLY_MEASURED: f64 = 0.5;
-/// How far from a camera its picture holds where depth is assumed.
+/// Angle around each camera within which pictures are good where depth is assumed.
 const ASIDE_DEGREES: usize = 10;
 
-/// Steps of a check, for the progress bar.
+/// Number of steps of a check, for the progress bar.
 const NUM_STEPS: usize = 6;
 
-/// Checks a capture. What is found is an error, for the exit code.
+/// Checks a capture. A finding is an error, for the exit code.
 pub fn run(path: &Path, sheet: Option<&Path>, page: Option<&Path>, job: &JobOptions) -> anyhow::Result<()> {
     let capture = Capture::open_unseen(path)?;
     let diagnosis = examined(&capture)?;
@@ -53,9 +53,9 @@ pub fn run(path: &Path, sheet: Option<&Path>, page: Option<&Path>, job: &JobOpti
     anyhow::bail!("{verdict}{hint}")
 }
 
-/// Checks a capture that was just prepared, and leaves the page in it. What is found is said, and no error.
+/// Checks a new capture and writes the page into it. Findings are printed and are no error.
 ///
-/// - returns: what was found, for machines
+/// - returns: the diagnosis as JSON
 pub fn after_preparing(path: &Path) -> anyhow::Result<Value> {
     let capture = Capture::open_unseen(path)?;
     let diagnosis = examined(&capture)?;
@@ -79,7 +79,7 @@ fn examined(capture: &Capture) -> anyhow::Result<Diagnosis> {
     Ok(tcgs_capture::check(capture, &mut |step| progress.step(|| step.into()))?)
 }
 
-/// What restricts a diagnosis, a sentence each.
+/// The limits of a diagnosis, one sentence each.
 pub fn remarks(diagnosis: &Diagnosis) -> Vec<String> {
     let mut lines = Vec::new();
     if diagnosis.made_points {
@@ -120,7 +120,7 @@ pub fn remarks(diagnosis: &Diagnosis) -> Vec<String> {
     lines
 }
 
-/// What pictures to expect of a training with points of which this share has a measured depth.
+/// The expected quality of pictures after a training, from the share of points with a measured depth.
 pub fn expectation(measured_share: f64) -> String {
     let where_good = match measured_share {
         MOSTLY_MEASURED.. => "between the cameras".into(),
@@ -130,7 +130,7 @@ pub fn expectation(measured_share: f64) -> String {
     format!("{percent:.0} % of the points have no measured depth: expect good pictures {where_good}")
 }
 
-/// The diagnosis in a line.
+/// The diagnosis in one line.
 pub fn verdict(path: &Path, diagnosis: &Diagnosis) -> String {
     let num_cameras = diagnosis.cameras.len();
     let words = match diagnosis.findings.len() {

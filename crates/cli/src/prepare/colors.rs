@@ -1,4 +1,4 @@
-//! How the cameras of a folder of videos differ in exposure and white balance, and what is said of it.
+//! Differences in exposure and white balance between the cameras of a folder of videos, and their report.
 
 use std::path::Path;
 
@@ -8,10 +8,10 @@ use tcgs_capture::{CaptureDescription, ColorBalance, ColorSource, balance_colors
 use super::cameras::with_progress;
 use crate::terminal::say;
 
-/// A gain that is further from 1 is worth a line of its own.
+/// Least deviation of a gain from 1 that gets its own line.
 const WORTH_A_LINE: f32 = 0.03;
 
-/// Measures gains and offsets, takes them where colours then agree better, and says what came out.
+/// Measures gains and offsets, adopts them if colours then agree better, and prints the outcome.
 pub fn balance(source: &Path, description: &mut CaptureDescription) -> anyhow::Result<Option<ColorBalance>> {
     let balance = with_progress("colours", 3, |tell| balance_colors(source, description, tell))?;
     let lines = match &balance {
@@ -27,7 +27,7 @@ pub fn balance(source: &Path, description: &mut CaptureDescription) -> anyhow::R
     Ok(balance)
 }
 
-/// What became of the colours, for machines.
+/// The outcome of the colour balance as JSON.
 pub fn balance_json(balance: &ColorBalance, description: &CaptureDescription) -> Value {
     let ([before, after], [fitted, judging]) = (balance.error_levels, balance.num_places);
     let cameras = description.cameras.iter().zip(&balance.camera_error_levels);

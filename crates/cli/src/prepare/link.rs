@@ -1,13 +1,13 @@
-//! A folder's files in another folder, without using their space twice.
+//! Links the files of one folder into another, so that they take no space twice.
 
 use std::fs;
 use std::path::Path;
 
 use anyhow::Context;
 
-/// Links, or where that cannot be copies, all visible files of a folder and its folders.
+/// Links all visible files of a folder and its subfolders, or copies a file that cannot be linked.
 ///
-/// - `without`: names in the folder itself that are left out
+/// - `without`: names to leave out at the top level
 pub fn link_tree(from: &Path, to: &Path, without: &[&str]) -> anyhow::Result<()> {
     for entry in fs::read_dir(from).with_context(|| format!("reading {}", from.display()))? {
         let entry = entry.with_context(|| format!("reading {}", from.display()))?;
@@ -22,7 +22,7 @@ pub fn link_tree(from: &Path, to: &Path, without: &[&str]) -> anyhow::Result<()>
             fs::create_dir(&target).with_context(context)?;
             link_tree(&source, &target, &[])?;
         } else {
-            // A symbolic link is followed: the capture must not break when its source moves.
+            // Follows a symbolic link: the capture must not break when its source moves.
             let file = source.canonicalize().with_context(|| format!("reading {}", source.display()))?;
             if fs::hard_link(&file, &target).is_err() {
                 fs::copy(&file, &target).with_context(context)?;

@@ -1,4 +1,4 @@
-//! Foreground masks of what moves: made, counted, written where the capture's kind looks for them.
+//! Foreground masks of moving things: made, counted, and written where the capture's layout expects them.
 
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
@@ -16,21 +16,21 @@ use crate::output::{NewFolder, write_file};
 use crate::progress::Progress;
 use crate::terminal::say;
 
-/// What is said of them in a dry run.
+/// A dry run's line for this step.
 pub const WOULD: &str = "masks: would be made";
 
-/// Whether masks are made of what moves.
+/// Whether to make masks of moving things.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Masks {
-    /// Where they can be
+    /// Make them if possible
     Auto,
-    /// It is an error if they cannot be
+    /// Make them; fail if that is impossible
     Yes,
     No,
 }
 
 impl Masks {
-    /// Whether masks are to be made of a capture that has none. Where they cannot be, `auto` says why.
+    /// Whether to make masks for a capture that has none. `auto` prints the reason if that is impossible.
     pub fn are_wanted(self, capture: &Capture) -> anyhow::Result<bool> {
         if self == Self::No {
             return Ok(false);
@@ -46,7 +46,7 @@ impl Masks {
     }
 }
 
-/// Why masks cannot be made of a capture, if they cannot.
+/// The reason why masks of a capture are impossible; `None` if they are possible.
 fn obstacle(capture: &Capture) -> anyhow::Result<Option<String>> {
     if capture.mask_files(Split::All, 0)?.iter().any(|(_, file)| file.is_none()) {
         let kind = capture.kind().name;
@@ -55,10 +55,10 @@ fn obstacle(capture: &Capture) -> anyhow::Result<Option<String>> {
     Ok(obstacle_to_masks(capture)?)
 }
 
-/// Makes the masks of a capture that `capture.toml` describes, all of them or none.
+/// Makes the masks of a capture with a `capture.toml`, all of them or none.
 ///
 /// - `folder`: the capture's
-/// - returns: what is told of them as JSON
+/// - returns: the report as JSON
 pub fn make_beside(capture: &Capture, folder: &Path) -> anyhow::Result<Value> {
     let masks = folder.join(MASKS_FOLDER);
     let new = NewFolder::begin(&masks, false, |_| false)?;
@@ -67,16 +67,15 @@ pub fn make_beside(capture: &Capture, folder: &Path) -> anyhow::Result<Value> {
     Ok(told)
 }
 
-/// Makes the masks of a capture that has a place for them.
+/// Makes the masks of a capture whose layout has a place for them.
 ///
-/// - `from`, `to`: a mask that the capture looks for in `from` is written to the same place in `to`; one that is there
-///   stays
+/// - `from`, `to`: a mask whose place is in `from` is written to the same place in `to`; an existing mask stays
 pub fn make(capture: &Capture, from: &Path, to: &Path) -> anyhow::Result<Value> {
     let begin = Instant::now();
     let mut progress = Progress::new("masks", 100);
     let (mut num_masks, mut covered, mut pixels) = (0, 0, 0);
     let mut failed = None;
-    // Where the masks of a frame belong, by camera.
+    // The frame, and the mask file of each camera at that frame.
     let mut places: (usize, BTreeMap<usize, PathBuf>) = (usize::MAX, BTreeMap::new());
     let mut write = |frame: usize, camera_id: usize, mask: &Segmentation| {
         num_masks += 1;
@@ -106,7 +105,7 @@ pub fn make(capture: &Capture, from: &Path, to: &Path) -> anyhow::Result<Value> 
     Ok(json!({ "num_masks": num_masks, "foreground": share, "seconds": seconds }))
 }
 
-/// Goes on to the places of a frame, if they are those of another.
+/// Reads the mask files of a frame unless `places` already holds them.
 fn places_at(capture: &Capture, frame: usize, places: &mut (usize, BTreeMap<usize, PathBuf>)) -> anyhow::Result<()> {
     if places.0 != frame {
         let files = capture.mask_files(Split::All, frame)?;
@@ -115,7 +114,7 @@ fn places_at(capture: &Capture, frame: usize, places: &mut (usize, BTreeMap<usiz
     Ok(())
 }
 
-/// Writes a mask where there is none.
+/// Writes a mask unless the file exists.
 fn write_mask(file: &Path, mask: &Segmentation) -> anyhow::Result<()> {
     if file.exists() {
         return Ok(());

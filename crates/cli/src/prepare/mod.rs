@@ -1,4 +1,4 @@
-//! `tcgs prepare`: own footage becomes a capture with initial points; and a doctor for captures.
+//! `tcgs prepare`: makes a capture with initial points from the user's footage, and checks captures.
 
 mod cameras;
 mod check;
@@ -22,36 +22,36 @@ use crate::options::{self, JobOptions};
 use crate::output::{NewFolder, check_files, check_folder, is_empty_folder, parent, write_json};
 use crate::terminal::say;
 
-/// Written into every capture that this command makes: how it was made, and that it may be replaced.
+/// Record in every capture that this command makes: how it was made, and that it may be replaced.
 const RECORD: &str = "prepare.json";
 
-/// Folder of the cameras and points that COLMAP found, in its text format.
+/// Folder of COLMAP's cameras and points, in its text format.
 const MODEL: &str = "colmap";
 
 /// Make a capture of videos, make initial points for a capture, or check a capture
 ///
-/// Of a folder of videos, one for each camera, this makes a capture that tcgs train reads. It reads any video that ffmpeg
-/// reads, finds the offsets between the cameras' clocks by sound or motion, and writes what it found to capture.toml,
-/// where any line may be changed by hand. What the output holds already is not made again; to have a step run again,
-/// delete its result or use --force.
+/// A folder of videos, one for each camera, becomes a capture that tcgs train reads. The command reads any video that
+/// ffmpeg reads, and finds the offsets between the cameras' clocks by sound or motion. It writes its results to
+/// capture.toml, where any line may be edited. A step whose result the output holds is skipped; to run it again, delete
+/// the result or use --force.
 ///
-/// A calibration in the folder is read, and refined by what several cameras see if that makes it better. Without one the
-/// program colmap finds the cameras from their images, if it is installed.
+/// A calibration in the folder is read. It is refined on points seen by several cameras, if that lowers its errors.
+/// Without a calibration the program colmap finds the cameras from their images, if it is installed.
 ///
-/// Cameras that differ in exposure or white balance get gains, if places that several of them see then agree better.
+/// Cameras that differ in exposure or white balance get gains, if points that several of them see then agree better.
 ///
-/// Training starts from a cloud of coloured points. For a capture that has none, this finds the depth of every pixel
-/// of the first frame's training images (multi-view stereo), keeps what three views or more agree on, limits the
-/// foreground to what all masks allow, continues surfaces without texture, and puts a shell around the rest.
+/// Training starts from a cloud of coloured points. For a capture without points, multi-view stereo finds the depth of
+/// every pixel of the first frame's training images. Points that three views or more agree on are kept. The foreground
+/// is limited to the visual hull of the masks, surfaces without texture are continued, and a shell surrounds the rest.
 ///
-/// In every image it marks what moves, if the cameras stand still and the capture has no masks (--masks): what
-/// differs from what a camera sees most of the time, and what the other cameras' differences allow there. The masks are
-/// images that can be looked at and mended: masks/CAMERA/FRAME.png beside capture.toml, seg/CAMERA/FRAME.png of Panoptic
-/// Sports. Masks that others made, in the same place, are taken as they are.
+/// In every image it marks what moves, if the cameras stand still and the capture has no masks (--masks). A pixel is
+/// marked if it differs from what its camera sees most of the time, and if the other cameras' differences allow motion
+/// there. The masks are images that can be viewed and corrected: masks/CAMERA/FRAME.png beside capture.toml,
+/// seg/CAMERA/FRAME.png of Panoptic Sports. Existing masks in the same place are used unchanged.
 ///
-/// With --check nothing is made: a doctor looks for matrices the wrong way round, cameras in another order than their
-/// images, wrong focal lengths and principal points, empty and inverted masks, and cameras whose clocks are wrong, and
-/// says what would mend them. The same is done with what was made, as its last step: check.html in the capture shows every
+/// With --check nothing is made. The check looks for transposed or inverted matrices, cameras in another order than
+/// their images, wrong focal lengths and principal points, empty and inverted masks, and wrong clocks. It prints how to
+/// correct each. A new capture is checked in the same way as the last step: check.html in the capture shows every
 /// camera.
 #[derive(clap::Args)]
 #[command(after_help = "\
@@ -74,10 +74,10 @@ pub struct Arguments {
     /// Write the points alone, as .npz
     #[arg(long, value_name = "FILE")]
     points_only: Option<PathBuf>,
-    /// Check the capture instead
+    /// Check the capture instead of making one
     #[arg(long)]
     check: bool,
-    /// Write a picture (PNG) of the check: every camera's image with the points that fall on it, and below it the
+    /// Write a picture (PNG) of the check: every camera's image with the points projected onto it, and below it the
     /// points alone, drawn from that camera
     #[arg(long, value_name = "FILE", conflicts_with_all = ["out", "points_only"])]
     sheet: Option<PathBuf>,
@@ -85,59 +85,59 @@ pub struct Arguments {
     /// and errors
     #[arg(long, value_name = "FILE", conflicts_with_all = ["out", "points_only"])]
     page: Option<PathBuf>,
-    /// Points at most, about [default: 80000]
+    /// Approximate maximal number of points [default: 80000]
     #[arg(long, value_name = "N", value_parser = options::up_to::<100_000_000>, conflicts_with = "check")]
     points: Option<usize>,
-    /// Average images down to at most this width; smaller is faster, larger finds finer things [default: 400]
+    /// Average images down to at most this width: smaller is faster, larger finds finer details [default: 400]
     #[arg(long, value_name = "PIXELS", value_parser = options::up_to::<16384>, conflicts_with = "check")]
     width: Option<usize>,
-    /// Of videos: the calibration, if it is not in their folder or there are several [formats: OpenCV/EasyMocap, caliscope,
-    /// Pose2Sim/aniposelib, Qualisys, COLMAP, nerfstudio]
+    /// Videos only: the calibration, if it is not in their folder or there are several [formats: OpenCV/EasyMocap,
+    /// caliscope, Pose2Sim/aniposelib, Qualisys, COLMAP, nerfstudio]
     #[arg(long, value_name = "FILE", conflicts_with = "check")]
     calibration: Option<PathBuf>,
-    /// Of videos: the distance between the lenses of two cameras, metres, as measured with a tape; all lengths are scaled
-    /// to it [default: lengths as the calibration has them; in an unknown unit if colmap finds the cameras]
+    /// Videos only: the measured distance between the lenses of two cameras, metres. All lengths are scaled to it
+    /// [default: lengths as the calibration has them; in an unknown unit if colmap finds the cameras]
     #[arg(long, value_name = "CAMERA,CAMERA,METRES", conflicts_with = "check")]
     scale: Option<Scale>,
-    /// Of videos: whether poses, focal lengths and distortion of the calibration are refined by what several cameras see,
-    /// where that lowers the errors of places that were held out: yes, no
+    /// Videos only: refine poses, focal lengths and distortion of the calibration on points that several cameras see,
+    /// if that lowers the errors of held-out points: yes, no
     #[arg(long, value_name = "YES", default_value = "yes", value_parser = yes_or_no, action = clap::ArgAction::Set)]
     refine_calibration: bool,
-    /// Of videos: whether differences in exposure and white balance between the cameras are measured, and evened out where
-    /// places that were held out then agree better: yes, no
+    /// Videos only: measure differences in exposure and white balance between the cameras, and even them out if
+    /// held-out points then agree better: yes, no
     #[arg(long, value_name = "YES", default_value = "yes", value_parser = yes_or_no, action = clap::ArgAction::Set)]
     colors: bool,
-    /// Of videos: a text file with a line NAME SECONDS for each camera, the moment of one and the same event in its video
+    /// Videos only: a text file with a line NAME SECONDS for each camera: the time of one common event in its video
     #[arg(long, value_name = "FILE", conflicts_with = "check")]
     offsets: Option<PathBuf>,
-    /// Of videos: begin so many seconds after the moment at which all cameras run
+    /// Videos only: start this many seconds after the moment at which all cameras run
     #[arg(long, value_name = "SECONDS", value_parser = options::seconds, conflicts_with = "check")]
     from: Option<f64>,
-    /// Of videos: end so many seconds after the moment at which all cameras run
+    /// Videos only: end this many seconds after the moment at which all cameras run
     #[arg(long, value_name = "SECONDS", value_parser = options::seconds, conflicts_with = "check")]
     to: Option<f64>,
-    /// Of videos: use every so many frames
+    /// Videos only: use every Nth frame
     #[arg(long, value_name = "N", value_parser = options::positive, conflicts_with = "check")]
     every: Option<usize>,
-    /// Of folders of images: frames per second [default: 30]
+    /// Image folders only: frames per second [default: 30]
     #[arg(long, value_name = "RATE", value_parser = options::rate, conflicts_with = "check")]
     fps: Option<f64>,
-    /// Of videos: a camera that is for judging and not for training; may be given several times [default: every eighth, of
-    /// fewer than eight none]
+    /// Videos only: a camera to hold out from training for evaluation; may be given several times [default: every
+    /// eighth, of fewer than eight none]
     #[arg(long, value_name = "CAMERA", conflicts_with = "check")]
     hold_out: Vec<String>,
-    /// Whether masks of what moves are made, where the capture has none; auto: if the cameras stand still, there are eight
-    /// frames or more, and the layout has a place for masks
+    /// Make masks of what moves if the capture has none; auto: if the cameras stand still, there are eight frames or
+    /// more, and the layout has a place for masks
     #[arg(long, value_name = "WHETHER", default_value = "auto", conflicts_with_all = ["points_only", "check"])]
     masks: masks::Masks,
-    /// Say which steps would run, and write nothing
+    /// Print which steps would run, and write nothing
     #[arg(long, conflicts_with = "check")]
     dry_run: bool,
     #[command(flatten)]
     job: JobOptions,
 }
 
-/// Two cameras and how far apart they are.
+/// The names of two cameras and their distance.
 #[derive(Clone)]
 struct Scale {
     cameras: [String; 2],
@@ -193,7 +193,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     if arguments.dry_run {
         if let Some(out) = &arguments.out {
-            // It is removed again; what makes it fail would make the command fail.
+            // The folder is removed again; an error here would also fail the command itself.
             drop(begin_capture(out, &arguments.source, force)?);
         }
         let capture = open(&arguments.source)?;
@@ -252,7 +252,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
 }
 
-/// Opens a source that is no folder of videos.
+/// Opens a source that is not a folder of videos.
 fn open(source: &Path) -> anyhow::Result<Capture> {
     match Capture::open_unseen(source) {
         Err(CaptureError::NotCapture { path, .. }) if path.is_dir() => Err(no_videos(&path)),
@@ -269,11 +269,11 @@ fn check_points_file(file: &Path, force: bool) -> anyhow::Result<()> {
     if file.extension().is_none_or(|extension| extension != "npz") {
         return Err(wrong_input(format!("{}: not a kind of file for points, expected NAME.npz", file.display())));
     }
-    // It may replace the capture's own points, which are not read.
+    // The file may replace the capture's own points, which this command does not read.
     check_files(&[file], &[], force)
 }
 
-/// A folder in the making, outside its source; one that exists is replaced only if this command made it.
+/// Begins a folder outside its source. It replaces an existing folder only if this command made that one.
 fn begin_capture(out: &Path, source: &Path, force: bool) -> anyhow::Result<NewFolder> {
     check_folder(out, &[source])?;
     if let (Ok(parent), Ok(source)) = (parent(out).canonicalize(), source.canonicalize())

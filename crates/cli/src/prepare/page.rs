@@ -1,4 +1,4 @@
-//! What the doctor found, as one HTML page that needs no other file: each camera with its pictures and numbers.
+//! The diagnosis as a self-contained HTML page: each camera with its pictures and numbers.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -15,7 +15,7 @@ const STYLE: &str = include_str!("page.css");
 struct Entry<'a> {
     name: String,
     is_test: bool,
-    /// What `capture.toml` says of it.
+    /// The camera's entry in `capture.toml`.
     described: Option<&'a DescribedCamera>,
     findings: Vec<&'a Finding>,
     is_undecided: bool,
@@ -24,7 +24,7 @@ struct Entry<'a> {
 }
 
 impl Entry<'_> {
-    /// Class of the badge, and its words.
+    /// CSS class and text of the badge.
     fn state(&self) -> (&'static str, &'static str) {
         match (self.findings.is_empty(), self.is_undecided) {
             (false, _) => ("bad", "problem"),
@@ -33,7 +33,7 @@ impl Entry<'_> {
         }
     }
 
-    /// Names and values of what was measured.
+    /// Names and values of the measurements.
     fn numbers(&self, has_gains: bool) -> Vec<(&'static str, String)> {
         let shown = |value: Option<String>| value.unwrap_or_else(|| "–".into());
         let mut numbers = Vec::new();
@@ -55,7 +55,7 @@ impl Entry<'_> {
     }
 }
 
-/// The page.
+/// Builds the page.
 ///
 /// - `path`: of the capture
 pub fn html(path: &Path, capture: &Capture, diagnosis: &Diagnosis) -> anyhow::Result<String> {
@@ -165,7 +165,7 @@ fn problems(page: &mut String, path: &Path, diagnosis: &Diagnosis) {
     }
 }
 
-/// Where cameras and clocks come from.
+/// Writes the sources of clocks, colours and calibration.
 fn sources(page: &mut String, description: &CaptureDescription) {
     if let Some(clock) = &description.clock {
         let _ = writeln!(page, "<p>Clocks: {}.</p>", escaped(&clock.from));
@@ -185,7 +185,7 @@ fn sources(page: &mut String, description: &CaptureDescription) {
     }
 }
 
-/// The numbers of all cameras below each other.
+/// Writes a table with the numbers of all cameras.
 fn overview(page: &mut String, entries: &[Entry<'_>], has_gains: bool) {
     let Some(first) = entries.first() else { return };
     let heads: String = first.numbers(has_gains).iter().map(|(what, _)| format!("<th>{what}</th>")).collect();
@@ -207,7 +207,7 @@ fn overview(page: &mut String, entries: &[Entry<'_>], has_gains: bool) {
     *page += "Brightness: of red, green and blue against the camera in the middle. Likeness: correlation of the image with the points whose depth is measured, 1 at most; below 0.5 no camera is said to fit.</p>\n";
 }
 
-/// A text as HTML has it.
+/// Escapes a text for HTML.
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

@@ -1,4 +1,4 @@
-//! Points by multi-view stereo: made, described, written.
+//! Initial points by multi-view stereo: made, described, written.
 
 use std::io::BufWriter;
 use std::path::Path;
@@ -12,15 +12,15 @@ use crate::output::write_file_with;
 use crate::progress::Progress;
 use crate::terminal::say;
 
-/// Steps of making points, for the progress bar.
+/// Number of steps of making points, for the progress bar.
 const NUM_STEPS: usize = 7;
 
-/// Share of the points whose depth is seen or bounded by masks, at least, to be better than strewn ones.
+/// Least share of points whose depth is triangulated or bounded by masks; with fewer, strewn points are as good.
 const MIN_SURE: f64 = 0.02;
 
-/// Makes points for a capture, and says what came out.
+/// Makes points for a capture and prints a summary.
 ///
-/// - returns: the points, and what is told of them as JSON
+/// - returns: the points, and the report as JSON
 pub fn make(capture: &Capture, arguments: &Arguments) -> anyhow::Result<(Prepared, Value)> {
     let settings = settings(arguments);
     let begin = Instant::now();
@@ -45,8 +45,8 @@ pub fn make(capture: &Capture, arguments: &Arguments) -> anyhow::Result<(Prepare
     Ok((prepared, told))
 }
 
-/// Points for a capture of few cameras: as [`make`], or strewn where the cameras stand too far apart to be compared, or
-/// hardly agree on any depth. Another error stays one.
+/// Makes points for a capture of few cameras. As [`make`], but strews the points if the cameras stand too far apart for
+/// stereo, or hardly agree on any depth. Any other error is returned.
 pub fn make_or_strew(capture: &Capture, arguments: &Arguments) -> anyhow::Result<(Prepared, Value)> {
     let why = match make(capture, arguments) {
         Ok((prepared, told)) => {

@@ -1,6 +1,6 @@
-//! `tcgs prepare` on a folder of videos as people have it: which cameras, which clocks, and then points.
+//! `tcgs prepare` on a folder of videos: finds cameras and clocks, then makes masks and points.
 //!
-//! What lives here: the order of the steps, what each says, and which are skipped because the output holds their result.
+//! What lives here: the order of the steps, their messages, and the test whether the output already holds their result.
 //! What does not: the steps themselves (`tcgs_capture`).
 
 use std::path::Path;
@@ -20,15 +20,15 @@ use crate::output::{write_file, write_json};
 use crate::progress::Progress;
 use crate::terminal::say;
 
-/// Fewer cameras see no depth that another one confirms.
+/// Least number of cameras for a depth that another camera confirms.
 const MIN_CAMERAS: usize = 3;
 
-/// What the steps before the masks and points find.
+/// Results of the steps before masks and points.
 struct Described {
     description: CaptureDescription,
-    /// What became of the calibration, if it was to be refined.
+    /// Outcome of the refinement, if requested.
     refinement: Option<Refinement>,
-    /// What became of the colours, if they were to be compared.
+    /// Outcome of the colour balance, if requested.
     balance: Option<ColorBalance>,
 }
 
@@ -94,7 +94,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The description that an earlier run of the same command left.
+/// The description that an interrupted or finished run of the same command wrote.
 fn found_description(out: &Path, arguments: &Arguments) -> anyhow::Result<Option<CaptureDescription>> {
     let record = out.join(RECORD);
     if arguments.job.force || !record.is_file() || !out.join(DESCRIPTION_FILE).is_file() {
@@ -108,12 +108,12 @@ fn found_description(out: &Path, arguments: &Arguments) -> anyhow::Result<Option
     Ok(Some(CaptureDescription::read(&out.join(DESCRIPTION_FILE))?))
 }
 
-/// The steps before masks and points.
+/// Runs the steps before masks and points.
 ///
-/// - returns: nothing if this is a dry run
+/// - returns: `None` in a dry run
 fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<Described>> {
     let source = &arguments.source;
-    // A dry run removes it again; what makes it fail would make the command fail.
+    // A dry run removes the folder again; an error here would also fail the command itself.
     let folder = Some(begin_capture(out, source, arguments.job.force)?).filter(|_| !arguments.dry_run);
     let raw = RawFootage::find(source, arguments.fps)?;
     let raw = raw.ok_or_else(|| no_videos(source))?;
@@ -219,7 +219,7 @@ fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<Describe
         }
     }
     write_file(&folder.path().join(DESCRIPTION_FILE), description.to_toml().as_bytes(), false)?;
-    // A capture that does not open, or for which no points can be made, is not left behind.
+    // A capture that does not open, or for which no points can be made, is not kept.
     let capture = Capture::open_unseen(folder.path())?;
     let num_train = description.cameras.iter().filter(|camera| camera.role == Role::Train).count();
     if num_train < MIN_CAMERAS && !capture.has_points() {
@@ -231,7 +231,7 @@ fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<Describe
     Ok(Some(Described { description, refinement, balance }))
 }
 
-/// Clocks by sound or motion, with a bar: motion decodes a minute of every video.
+/// Measures clocks by sound or motion, with a progress bar: motion decodes a minute of every video.
 fn measure_clocks(raw: &RawFootage) -> anyhow::Result<Clocks> {
     const STEPS: usize = 1000;
     let progress = Mutex::new(Progress::new("clocks", STEPS));
@@ -302,7 +302,7 @@ fn clocks_in_words(clocks: &Clocks, names: &[String], description: &CaptureDescr
     ]
 }
 
-/// How sure motion is of clocks, in brackets.
+/// The evidence for clocks from motion, in brackets.
 fn sureness(evidence: ClockEvidence) -> String {
     let ClockEvidence { agreeing, prominence, .. } = evidence;
     format!(

@@ -27,9 +27,9 @@ const PATH_SIZE: [usize; 2] = [640, 360];
 
 /// Render pictures or a video of a scene
 ///
-/// Along a path the camera moves on with every frame. Orbit and spiral lead around what moves, among the cameras of the
-/// capture where the scene brings any: in a ring around it, along an arc back and forth. The pictures are
-/// DIR/FRAME.png; with --cameras they are DIR/CAMERA/FRAME.png, and a video shows one camera after the other.
+/// Along a path the camera moves with every frame. Orbit and spiral lead around the moving objects, among the capture's
+/// cameras if the scene stores any: all the way round if these form a ring, else along an arc and back. The pictures
+/// are DIR/FRAME.png; with --cameras they are DIR/CAMERA/FRAME.png, and a video shows one camera after the other.
 /// Videos need the program ffmpeg; an odd size loses a row or a column there.
 #[derive(clap::Args)]
 #[command(after_help = "\
@@ -54,7 +54,7 @@ pub struct Arguments {
     /// Frames of the capture, from A up to but not including B [default: all of the scene]
     #[arg(long, value_name = "A..B")]
     frames: Option<Frames>,
-    /// Size of the pictures [default: 640x360; with --cameras as the scene was trained, of a saved path as it was saved]
+    /// Size of the pictures [default: 640x360; with --cameras the training's size; with a saved path its size]
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
     #[command(flatten)]
@@ -63,7 +63,7 @@ pub struct Arguments {
     job: JobOptions,
 }
 
-/// What `--path` takes.
+/// Values of `--path`.
 #[derive(Clone, Debug)]
 enum PathOption {
     Around(Tour),
@@ -123,22 +123,22 @@ fn draw(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.write_json(&json!({ "out": out, "pictures": cameras.len() }))
 }
 
-/// The name of a picture within the folder.
+/// The relative path of a picture within the folder.
 fn name(at: &CameraAt) -> PathBuf {
     let png = format!("{:06}.png", at.frame);
     at.camera_id.map_or_else(|| PathBuf::from(&png), |id| Path::new(&id.to_string()).join(&png))
 }
 
-/// All cameras, in the order in which their pictures are taken.
+/// All cameras, in the order in which they are rendered.
 ///
-/// - `by_camera`: of a capture, one camera after the other; else one frame after the other
+/// - `by_camera`: with a capture, one camera after the other instead of one frame after the other
 fn cameras(arguments: &Arguments, scene: &OpenScene, by_camera: bool) -> anyhow::Result<Vec<CameraAt>> {
     let frames = scene.choose_frames(arguments.frames.as_ref().map(|frames| &frames.0))?;
     let size = arguments.size.map(|size| [size.width, size.height]);
     if let Some(path) = &arguments.cameras {
         let mut cameras = CameraAt::of_capture(scene, frames, &Capture::open(path)?, size)?;
         if by_camera {
-            // In the order of the first frame, whatever the cameras are called.
+            // Cameras in the order of the first frame, independent of their ids.
             let first = cameras.first().map(|at| at.frame);
             let order: Vec<_> = cameras.iter().filter(|at| Some(at.frame) == first).map(|at| at.camera_id).collect();
             let place = |at: &CameraAt| order.iter().position(|id| *id == at.camera_id).unwrap_or(order.len());
@@ -152,7 +152,7 @@ fn cameras(arguments: &Arguments, scene: &OpenScene, by_camera: bool) -> anyhow:
     })
 }
 
-/// Where the pictures go.
+/// Destination of the pictures.
 enum Output {
     Folder(NewFolder),
     Video(Box<Video>),
@@ -189,7 +189,7 @@ impl Output {
     }
 }
 
-/// What rendering writes, and so may replace: `000123.png`.
+/// Whether a file has the name of a picture, such as `000123.png`, and so may be replaced.
 fn is_png(path: &Path) -> bool {
     is_numbered(path, ".png")
 }

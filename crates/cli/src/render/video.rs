@@ -1,4 +1,4 @@
-//! Pictures to a video, by the program `ffmpeg`.
+//! Encodes pictures as a video with the program `ffmpeg`.
 
 use std::ffi::OsStr;
 use std::fs::File;
@@ -15,13 +15,13 @@ use crate::interrupt;
 use crate::options::Size;
 use crate::output::{begin_beside, write_file_with};
 
-/// Of a scene that does not say how many frames a second it has.
+/// Frame rate of a scene that declares none.
 const FRAME_RATE: f64 = 30.0;
 
-/// What each kind of file is encoded with: near to what the eye can tell from the pictures.
+/// Encoder options of each file type: close to visually lossless.
 const MP4: &[&str] = &["-c:v", "libx264", "-preset", "medium", "-crf", "16", "-movflags", "+faststart"];
 const WEBM: &[&str] = &["-c:v", "libvpx-vp9", "-crf", "20", "-b:v", "0", "-row-mt", "1"];
-/// Browsers and televisions show 8 bits with halved chroma, which takes even sides, in the colours of BT.709.
+/// 8 bits, 4:2:0 chroma and BT.709, which browsers and televisions play; 4:2:0 needs even sides.
 const SHOWN_ANYWHERE: &[&str] = &[
     "-vf",
     "crop=trunc(iw/2)*2:trunc(ih/2)*2:0:0,scale=out_color_matrix=bt709:out_range=tv",
@@ -37,26 +37,26 @@ const SHOWN_ANYWHERE: &[&str] = &[
     "tv",
 ];
 
-/// A video in the making.
+/// A video being written.
 pub struct Video {
     place: PathBuf,
     force: bool,
     frame_rate: f64,
     encoder: &'static [&'static str],
-    /// Beside the place: as private as that, and cleaned up by the same rule if this process is killed.
+    /// Beside the output: with the same access rights, and cleaned up by the same rule if this process is killed.
     folder: Unfinished,
     running: Option<Running>,
 }
 
-/// `ffmpeg` at work.
+/// A running `ffmpeg`.
 struct Running {
     child: Child,
     size: Size,
-    /// Reads what it says.
+    /// Reads its standard error.
     said: JoinHandle<String>,
 }
 
-/// The encoder for a file of this name; none if the name has no ending of a video.
+/// The encoder options for a file name; `None` if its ending is not that of a video.
 fn encoder(place: &Path) -> Option<&'static [&'static str]> {
     match ending(place).as_str() {
         "mp4" => Some(MP4),
@@ -69,13 +69,13 @@ fn ending(place: &Path) -> String {
     place.extension().and_then(OsStr::to_str).unwrap_or_default().to_ascii_lowercase()
 }
 
-/// Whether an output is to be a video.
+/// Whether the output is a video.
 pub fn is_named(place: &Path) -> bool {
     encoder(place).is_some()
 }
 
 impl Video {
-    /// Begins a video, if the name of the output asks for one. `ffmpeg` has to be there.
+    /// Begins a video if the ending of the output is that of one. `ffmpeg` must be installed.
     pub fn begin(place: &Path, force: bool) -> anyhow::Result<Option<Self>> {
         let Some(encoder) = encoder(place) else {
             let ending = ending(place);
@@ -94,17 +94,17 @@ impl Video {
         Ok(Some(Self { place: place.into(), force, frame_rate: FRAME_RATE, encoder, folder, running: None }))
     }
 
-    /// Sets how many pictures pass a second; 0 if unknown.
+    /// Sets the number of frames per second; 0 if unknown.
     pub fn set_frame_rate(&mut self, frame_rate: f64) {
         if frame_rate > 0.0 {
             self.frame_rate = frame_rate;
         }
     }
 
-    /// Adds a picture.
+    /// Appends a picture.
     ///
     /// - `rgb`: `[H, W, 3]`
-    /// - `size`: the same for all
+    /// - `size`: the same for all pictures
     pub fn add(&mut self, rgb: &[u8], size: Size) -> anyhow::Result<()> {
         let expected = match &self.running {
             Some(running) => running.size,
@@ -125,7 +125,7 @@ impl Video {
         }
     }
 
-    /// Puts it in its place.
+    /// Moves the video to its place.
     pub fn finish(mut self) -> anyhow::Result<()> {
         self.end()?;
         let mut made = File::open(self.made()).with_context(|| format!("reading {}", self.made().display()))?;
@@ -134,7 +134,7 @@ impl Video {
 
     fn start(&self, size: Size) -> anyhow::Result<Running> {
         let mut command = Command::new("ffmpeg");
-        // Ctrl-C in a terminal must reach only this process, which ends the encoder.
+        // A process group of its own: Ctrl-C in a terminal then reaches only this process, which ends the encoder.
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
         let started = command
@@ -159,14 +159,14 @@ impl Video {
         let stderr = child.stderr.take();
         let said = thread::spawn(move || {
             let mut said = Vec::new();
-            // Through a pipe, not a file: the message may be about a full disk.
+            // A pipe and not a file: the message may be about a full disk.
             let _ = stderr.map(|mut stderr| stderr.read_to_end(&mut said));
             String::from_utf8_lossy(&said).into_owned()
         });
         Ok(Running { child, size, said })
     }
 
-    /// Waits until everything is written.
+    /// Waits until ffmpeg has written everything.
     fn end(&mut self) -> anyhow::Result<()> {
         let Some(Running { mut child, said, .. }) = self.running.take() else { return Ok(()) };
         drop(child.stdin.take());
@@ -181,14 +181,14 @@ impl Video {
         Err(anyhow!("{}: ffmpeg ended with {status} and said: {said}", self.place.display()))
     }
 
-    /// The ending tells ffmpeg what to write.
+    /// The temporary file; ffmpeg chooses the container by its ending.
     fn made(&self) -> PathBuf {
         self.folder.path().join("made").with_extension(self.place.extension().unwrap_or_default())
     }
 }
 
 impl Drop for Video {
-    /// Nothing goes on after an error elsewhere.
+    /// Kills a running encoder after an error elsewhere.
     fn drop(&mut self) {
         if let Some(Running { child, .. }) = &mut self.running {
             let _ = child.kill();

@@ -1,4 +1,4 @@
-//! `tcgs train`: a capture becomes a run folder.
+//! `tcgs train`: trains a capture into a run folder.
 
 mod settings;
 mod view;
@@ -24,13 +24,13 @@ use crate::terminal::say;
 
 use self::view::View;
 
-/// With fewer cameras left to train on, none can be spared to judge with.
+/// Least number of training cameras that must remain after holding one out.
 const MIN_TRAINED: usize = 2;
 
 /// Train a dynamic scene on a multi-view capture, one timestep after another
 ///
-/// Writes a run folder: config.toml with everything needed to repeat it, a checkpoint a timestep, and
-/// metrics.jsonl. Settings come from the preset, then --config, then --set and the other options.
+/// Writes a run folder: config.toml with everything needed to repeat it, a checkpoint per timestep, and metrics.jsonl.
+/// Settings come from the preset, then --config, then --set and the other options.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:
@@ -45,8 +45,8 @@ A long capture in chapters, on as many machines; see docs/TRAINING.md:
   tcgs train my_capture --out chapter1 --config base/config.toml --frames 95..202 --start-from base@0
   tcgs compress chapter0 chapter1 --out scene.tcgs")]
 pub struct Arguments {
-    /// Folder of the capture: Panoptic Sports, Neural 3D Video, Technicolor, nerfstudio, COLMAP, Middlebury, or what tcgs
-    /// prepare made of videos
+    /// Folder of the capture: Panoptic Sports, Neural 3D Video, Technicolor, nerfstudio, COLMAP, Middlebury, or the
+    /// output of tcgs prepare
     capture: PathBuf,
     /// Folder of the run
     #[arg(long, value_name = "RUN")]
@@ -63,9 +63,9 @@ pub struct Arguments {
     /// Initial points, .npz, .ply or points3D.bin of COLMAP, instead of the capture's own
     #[arg(long, value_name = "FILE")]
     points: Option<PathBuf>,
-    /// Continue the state of SCENE at timestep T (default: its last): a run folder, .tcgs, params.npz or a folder of PLY, SPZ or glTF.
-    /// The first timestep is trained as a later one, from there. From a run masks, quantizers and, at its last two
-    /// timesteps, the optimizer's state carry over
+    /// Continue the state of SCENE at timestep T (default: its last): a run folder, .tcgs, params.npz or a folder of
+    /// PLY, SPZ or glTF. The first timestep is trained as a later one, from there. From a run, masks, quantizers and,
+    /// at its last two timesteps, the optimizer's state carry over
     #[arg(long, value_name = "SCENE@T", conflicts_with = "points")]
     start_from: Option<String>,
     /// With --start-from: axes of PLY, SPZ, glTF and .4dgs files, such as rub [default: those that the file declares,
@@ -82,15 +82,14 @@ pub struct Arguments {
     /// Learn no quantisation
     #[arg(long, conflicts_with = "bits")]
     no_quantize: bool,
-    /// Fewest and most bits of a parameter; equal ones give all the same
+    /// Fewest and most bits of a parameter; equal values give all parameters the same
     #[arg(long, value_name = "MIN,MAX", value_parser = options::bits)]
     bits: Option<Pair<u8>>,
-    /// Cameras to leave out of the training, so that they can judge it: their names, such as cam03,cam07, or ids. Test
-    /// cameras of the capture are then neither trained on nor judged
+    /// Cameras to leave out of the training for evaluation: their names, such as cam03,cam07, or ids. Test cameras of
+    /// the capture are then neither trained on nor evaluated
     #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     hold_out: Vec<String>,
-    /// Frames of the capture, from A up to but not including B [default: those that
-    /// publications use, else all]
+    /// Frames of the capture, from A up to but not including B [default: those that publications use, else all]
     #[arg(long, value_name = "A..B")]
     frames: Option<Frames>,
     /// Average images over N x N pixels [default: 1]
@@ -99,13 +98,13 @@ pub struct Arguments {
     /// Iterations of the first and of every later timestep [default: the preset's; 10000,2000, fast: 4000,300]
     #[arg(long, value_name = "FIRST,REST", value_parser = options::iterations)]
     iterations: Option<Pair<usize>>,
-    /// Go on with RUN after its last whole checkpoint; begin it if there is none. Options that are not
-    /// given keep the run's settings; only the end of --frames may change
+    /// Continue RUN after its last whole checkpoint; begin it if there is none. Options that are not given keep the
+    /// run's settings; only the end of --frames may change
     #[arg(long)]
     resume: bool,
-    /// Show the training in a browser of this machine while it goes on: the scene as it is, what is finished, curves of
-    /// loss and PSNR, and how much is trained. Prints the address; without ADDRESS any port that is free. The trained bits are
-    /// the same. After the training it shows the whole run until the page is closed
+    /// Show the training in a browser of this machine while it runs: the current scene, the finished timesteps, curves
+    /// of loss and PSNR, and the progress. Prints the address; without ADDRESS any free port. The trained bits are the
+    /// same. After the training it shows the whole run until the page is closed
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, require_equals = true, default_missing_value = "127.0.0.1:0",
         value_parser = view::port)]
     view: Option<u16>,
@@ -121,7 +120,7 @@ enum PresetName {
     D3dgs,
     /// The paper's settings; docs/PAPER.md lists the departures
     Paper,
-    /// The paper with what measured better
+    /// The paper with changes that measured better
     Default,
     /// The default in far fewer iterations
     Fast,
@@ -206,7 +205,7 @@ fn train(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The state that a chapter starts from, told in words.
+/// Opens the state that a chapter starts from, and prints a description.
 fn open_start(
     start: &str,
     reading: SourceOptions,
@@ -241,7 +240,7 @@ fn describe(capture: &Capture, config: &TrainConfig) -> anyhow::Result<String> {
     Ok(format!("{layout} capture: {count} cameras ({held_out}), frames {first}..{end}, {}x{} pixels", size.0, size.1))
 }
 
-/// How to judge a capture that holds no camera out; `None` if it holds some out, or has none to spare.
+/// Advice to hold out a camera; `None` if the capture holds one out, or has none to spare.
 fn hold_out_hint(capture: &Capture, config: &TrainConfig) -> anyhow::Result<Option<String>> {
     let names = |split| capture.camera_names(split, config.data.first_frame);
     let (train, test) = (names(Split::Train)?, names(Split::Test)?);
@@ -255,7 +254,7 @@ fn hold_out_hint(capture: &Capture, config: &TrainConfig) -> anyhow::Result<Opti
     }))
 }
 
-/// What to do about a run that stopped half-way. Timesteps that are finished have whole checkpoints, whatever it was.
+/// Adds advice on a run that stopped half-way. Finished timesteps have whole checkpoints after any error.
 fn with_advice(error: anyhow::Error, run: &Run) -> anyhow::Error {
     let advice = match error.downcast_ref::<PipelineError>() {
         Some(PipelineError::Stopped) => {
@@ -288,7 +287,7 @@ fn report_resumption(run: &Run, trainer: &Trainer) -> anyhow::Result<()> {
 
 fn report(arguments: &Arguments, run: &Run, capture: &Capture, trainer: &Trainer) -> anyhow::Result<()> {
     let num_gaussians = trainer.num_gaussians();
-    // A line may be missing after a power cut: it is written before its checkpoint, but less carefully.
+    // A line may be missing after a power cut: metrics are written before the checkpoint, but without its guarantees.
     let mut timesteps: Vec<[Value; 2]> = vec![[Value::Null, Value::Null]; trainer.timesteps()];
     for metrics in run.metrics()? {
         let mut metrics = metrics?;

@@ -1,4 +1,4 @@
-//! From the command line to a run's settings.
+//! A run's settings from the command line.
 
 use std::path::{Path, PathBuf};
 
@@ -20,7 +20,7 @@ pub fn fresh(arguments: &Arguments, capture: &Capture) -> anyhow::Result<TrainCo
     Ok(config)
 }
 
-/// Settings of a run to go on with: those stored, and what the command line says over them.
+/// Settings of a resumed run: the stored ones, overridden by the command line.
 pub fn resumed(arguments: &Arguments, capture: &Capture, stored: &TrainConfig) -> anyhow::Result<TrainConfig> {
     let mut base = stored.clone();
     if let Some(preset) = arguments.preset {
@@ -38,14 +38,14 @@ fn apply(arguments: &Arguments, capture: &Capture, mut base: TrainConfig) -> any
             .map_err(|error| unreadable(path, error, "settings as in a run's config.toml"))?;
         base = base.merge(&text).map_err(|error| wrong_input(format!("{}: {error}", path.display())))?;
     }
-    // A file may be another run's; the capture is the one that was named.
+    // A --config file may be another run's; the capture is always that of the command line.
     let folder = absolute(&arguments.capture)?;
     base.data.capture.clone_from(&folder);
     base.data.layout = capture.kind().name.into();
     if let Some(points) = &arguments.points {
         base.data.points = absolute(points)?;
     }
-    // A file may be that of a run that was a chapter.
+    // A --config file may come from a run that was itself a chapter.
     base.data.start_from = match &arguments.start_from {
         Some(start) => {
             let (path, timestep) = scene_and_timestep(start)?;
@@ -77,7 +77,7 @@ fn apply(arguments: &Arguments, capture: &Capture, mut base: TrainConfig) -> any
     if let Some(Pair(min, max)) = arguments.bits {
         let q = &mut base.quantize;
         (q.min_bits, q.max_bits) = (min, max);
-        // A mean outside of the range would give every parameter the same bits.
+        // A mean outside the range would give every parameter the same bits.
         if !(f32::from(min)..=f32::from(max)).contains(&q.mean_bits) {
             q.mean_bits = (f32::from(min) + f32::from(max)) / 2.0;
         }
@@ -101,9 +101,9 @@ fn apply(arguments: &Arguments, capture: &Capture, mut base: TrainConfig) -> any
     Ok(base)
 }
 
-/// The parts of `SCENE@T`, or of `SCENE` alone.
+/// Splits `SCENE@T` into scene and timestep; `SCENE` alone has no timestep.
 pub fn scene_and_timestep(start: &str) -> anyhow::Result<(PathBuf, Option<usize>)> {
-    // A name may have an @ of its own.
+    // A file name may contain an @.
     if Path::new(start).exists() {
         return Ok((start.into(), None));
     }
@@ -114,7 +114,7 @@ pub fn scene_and_timestep(start: &str) -> anyhow::Result<(PathBuf, Option<usize>
     })
 }
 
-/// So that a run finds its capture and points from any folder.
+/// An absolute path, so that a run finds its capture and points from any working directory.
 fn absolute(path: &Path) -> anyhow::Result<String> {
     let path = path.canonicalize().map_err(|error| wrong_input(format!("{}: {error}", path.display())))?;
     path.into_os_string().into_string().map_err(|path| {

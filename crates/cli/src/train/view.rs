@@ -1,4 +1,4 @@
-//! `tcgs train --view`: the player's page beside a training.
+//! `tcgs train --view`: the player's page during a training.
 
 use std::net::Ipv4Addr;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -12,12 +12,13 @@ use tcgs_serve::{NO_PAGE, PAGE, SceneSource, Server, Training, TrainingFile};
 use crate::interrupt;
 use crate::terminal::{note, say};
 
-/// A page that has not asked for so long is closed. Browsers let pages that nobody sees ask once a minute.
+/// Time without a request after which a page counts as closed. Browsers throttle the timers of hidden pages to once a
+/// minute.
 const CLOSED: Duration = Duration::from_secs(90);
-/// How often the end looks for Ctrl-C.
+/// Interval of the check for Ctrl-C at the end.
 const TURN: Duration = Duration::from_millis(200);
 
-/// The port of `ADDRESS`, which is on this machine alone.
+/// Parses the port of `ADDRESS`, which must be on this machine.
 pub fn port(address: &str) -> Result<u16, String> {
     let expected = "expected 127.0.0.1:PORT: the training is shown to this machine alone";
     let port = match address.rsplit_once(':') {
@@ -29,22 +30,22 @@ pub fn port(address: &str) -> Result<u16, String> {
     port.parse().map_err(|_| expected.into())
 }
 
-/// A server of a training. It ends with this program.
+/// A server that shows a training. It ends with this program.
 pub struct View {
     site: Arc<Site>,
 }
 
-/// What the server answers from.
+/// State behind the server's answers.
 #[derive(Debug)]
 struct Site {
-    /// None before the training begins.
+    /// `None` before the training begins.
     live: Mutex<Option<Arc<LiveRun>>>,
-    /// When a page asked last.
+    /// Time of the last request.
     asked: Mutex<Option<Instant>>,
 }
 
 impl View {
-    /// Begins to serve and says where.
+    /// Starts the server and prints its address.
     pub fn begin(port: u16) -> anyhow::Result<Self> {
         if PAGE.is_empty() {
             return Err(anyhow!(NO_PAGE));
@@ -59,12 +60,12 @@ impl View {
         Ok(Self { site })
     }
 
-    /// Shows a run from now on.
+    /// Shows a run from this call on.
     pub fn show(&self, live: Arc<LiveRun>) {
         *self.site.live.lock().unwrap_or_else(PoisonError::into_inner) = Some(live);
     }
 
-    /// Shows the whole run as long as a page asks for it, or until Ctrl-C.
+    /// Shows the whole run until no page asks for it any more, or until Ctrl-C.
     pub fn finish(&self) {
         let Some(live) = self.site.live() else { return };
         live.end();

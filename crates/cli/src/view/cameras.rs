@@ -1,4 +1,4 @@
-//! The cameras of a capture with their images, in the form that the player draws them (`docs/PLAYER.md`, "Cameras").
+//! The cameras of a capture with their images, in the player's JSON format (`docs/PLAYER.md`, "Cameras").
 
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, Split};
@@ -7,18 +7,20 @@ use tcgs_core::{Camera, dot, normalize, upright_axes};
 use crate::pictures::jpeg_uri;
 use crate::progress::Progress;
 
-/// Width of the images, pixels, at most.
+/// Largest width of the images, pixels.
 const WIDTH: usize = 320;
-/// Depth of a frustum: a share of the distance between neighbouring cameras, within shares of the rig's radius.
+/// Depth of a frustum: a share of the median distance to the nearest camera, clamped to `DEPTH_OF_RIG` of the rig's
+/// radius.
 const DEPTH: f64 = 0.5;
 const DEPTH_OF_RIG: [f64; 2] = [0.06, 0.25];
-/// Points whose median depth says how far away the things are that a camera looks at.
+/// Largest number of points from which a camera's median depth is computed.
 const NUM_POINTS: usize = 2000;
-/// Height from which the rig is seen first, radians above its middle.
+/// Elevation of the first view above the rig's middle, radians.
 const ELEVATION: f64 = 0.45;
-/// Distance of that place from the middle, radii of the rig.
+/// Distance of the first view from the middle, in radii of the rig.
 const FAR: f64 = 2.6;
-/// Length of the mean of the directions of view below which the cameras stand around what they look at.
+/// Least length of the mean of unit vectors that counts as a common direction. If the mean viewing direction is
+/// shorter, the cameras surround their subject.
 const SAME_WAY: f64 = 0.3;
 
 /// Cameras and images of the first frame as JSON.
@@ -42,7 +44,7 @@ pub fn cameras_file(capture: &Capture, names: &[String]) -> anyhow::Result<Vec<u
     Ok(json!({ "depth": rig.depth, "start": camera_json(&rig.overview), "cameras": entries }).to_string().into_bytes())
 }
 
-/// A camera as the player's page has it.
+/// A camera in the format of the player's page.
 fn camera_json(camera: &Camera) -> Value {
     json!({
         "width": camera.width,
@@ -55,7 +57,7 @@ fn camera_json(camera: &Camera) -> Value {
     })
 }
 
-/// How large cameras are drawn, and from where all of them are seen.
+/// Drawn size of the cameras, and a view of all of them.
 struct Rig {
     /// Length of a frustum, scene units.
     depth: f64,
@@ -66,7 +68,7 @@ impl Rig {
     fn of(capture: &Capture, cameras: &[Camera]) -> anyhow::Result<Self> {
         let centers: Vec<[f64; 3]> = cameras.iter().map(Camera::center).collect();
         let spread = centers.iter().flat_map(|a| centers.iter().map(|b| distance(*a, *b))).fold(0.0, f64::max);
-        // Where the cameras look: at the median depth of the points that each sees.
+        // Each camera's target is at the median depth of the points it sees.
         let points = if capture.has_points() { capture.point_cloud()?.points } else { Vec::new() };
         let step = points.len().div_ceil(NUM_POINTS).max(1);
         let usual_depth = |camera: &Camera| {
@@ -92,7 +94,7 @@ impl Rig {
     }
 }
 
-/// A camera that sees a whole rig: from behind it, or where it stands all around from one side; and from above.
+/// A camera that sees the whole rig from above: from behind the cameras, or from one side if they stand all around.
 fn overview(cameras: &[Camera], middle: [f64; 3], radius: f64) -> Camera {
     let up = mean(cameras.iter().map(|camera| [0, 1, 2].map(|i| -camera.camera_from_world[1][i])));
     let up = if dot(up, up).sqrt() > SAME_WAY { normalize(up) } else { [0.0, -1.0, 0.0] };

@@ -1,4 +1,4 @@
-//! `tcgs view`: shows a scene of this machine in a browser, or the cameras and points of a capture.
+//! `tcgs view`: shows a local scene, or the cameras and points of a capture, in a browser.
 
 mod cameras;
 
@@ -19,12 +19,12 @@ use crate::terminal::{note, say};
 
 /// Show a scene or a capture in a browser
 ///
-/// Serves the player on this machine alone (127.0.0.1), prints its address, opens a browser if there is one, and
-/// serves until it is stopped (Ctrl-C).
+/// Serves the player on this machine only (127.0.0.1), prints its address, opens a browser if there is one, and serves
+/// until it is stopped (Ctrl-C).
 ///
-/// Of a capture it shows the cameras, each with its image of the first frame, and the points that training starts from:
-/// whether these fit together shows before training whether cameras are right. Key C shows cameras without images, and
-/// hides them.
+/// For a capture it shows the cameras, each with its image of the first frame, and the points that training starts
+/// from. Cameras are right if their images and the points fit together, which shows before training. Key C shows
+/// cameras without images, and hides them.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:
@@ -35,10 +35,10 @@ Example:
 pub struct Arguments {
     /// .tcgs file, or the folder of a capture
     scene: PathBuf,
-    /// Capture of the scene, whose cameras and images are shown in it
+    /// Capture of the scene, to show its cameras and images
     #[arg(long, value_name = "CAPTURE")]
     capture: Option<PathBuf>,
-    /// Port to serve at; 0: any that is free
+    /// Port to serve at; 0: any free port
     #[arg(long, value_name = "PORT", default_value_t = 0)]
     port: u16,
     /// Open no browser
@@ -65,7 +65,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     server.run(|error| note(&format!("a connection failed: {error}")))
 }
 
-/// The scene, and the cameras that are shown in it.
+/// The scene, and the cameras to show with it.
 fn shown(arguments: &Arguments) -> anyhow::Result<(SceneSource, Option<Vec<u8>>)> {
     let path = &arguments.scene;
     if path.is_dir() {
@@ -93,7 +93,7 @@ fn shown(arguments: &Arguments) -> anyhow::Result<(SceneSource, Option<Vec<u8>>)
     Ok((path.as_path().into(), cameras))
 }
 
-/// The capture in a folder. Its cameras may be wrong: that is what one looks for.
+/// Opens a capture without judging its cameras: finding wrong ones is the purpose of the view.
 fn opened(path: &Path) -> anyhow::Result<Capture> {
     if RawFootage::is_in(path)? {
         let problem = "is a folder of videos, expected a capture, which `tcgs prepare` makes of it";
@@ -107,11 +107,11 @@ fn opened(path: &Path) -> anyhow::Result<Capture> {
     }
 }
 
-/// Kinds of scenes that can be shown, for messages.
+/// Scenes that can be shown, for messages.
 const EXPECTED: &str = "a .tcgs file, which `tcgs compress` makes of other scenes, or a capture";
 
-/// Refuses a file that the player could not open: one without the tables of a `.tcgs` file. The player itself tells of
-/// damage behind the tables.
+/// Refuses a file that the player could not open: one without the tables of a `.tcgs` file. The player itself reports
+/// damage after the tables.
 fn check_scene(path: &Path) -> anyhow::Result<()> {
     let refuse = |found: String| Err(wrong_input(format!("{}: {found}, expected {EXPECTED}", path.display())));
     let mut file = open_file(path).map_err(|error| unreadable(path, error, EXPECTED))?;
@@ -134,7 +134,7 @@ fn check_scene(path: &Path) -> anyhow::Result<()> {
     }
 }
 
-/// Asks the desktop, if there is one, to show an address. On other machines the printed address must do.
+/// Opens an address in the desktop's browser, if there is a desktop. Without one the printed address must do.
 fn open_browser(address: &str) {
     let program = if cfg!(target_os = "macos") {
         "open"

@@ -54,7 +54,7 @@ fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("{value}, expected a number"))
 }
 
-/// Runs it on small scenes; what it says and its result for machines.
+/// Runs the bench on small scenes; returns its output and its JSON.
 fn bench(more: &[&str]) -> (String, Value) {
     let folder = tempdir().unwrap();
     let path = folder.path().join("bench.json");
@@ -62,7 +62,7 @@ fn bench(more: &[&str]) -> (String, Value) {
     (said, json(&path))
 }
 
-/// Median of some times, which are as they should be.
+/// Returns the median of some times, and checks the percentiles.
 fn check_spread(value: &Value) -> f64 {
     let [p10, median, p90] = ["p10", "median", "p90"].map(|name| number(&value[name]));
     assert!(0.0 < p10 && p10 <= median && median <= p90, "{value}");
@@ -92,12 +92,12 @@ fn check_scene(scene: &Value, stages: &[&str]) {
     check_stages(&scene["render_stages"], &RENDER_STAGES);
     check_stages(&scene["stages"], stages);
     check_stages(&scene["part_stages"], stages);
-    // Without losses on motion their stage may take no time at all.
+    // Without losses on motion this stage may take no time at all.
     let first = scene["first_stages"].as_array().unwrap();
     assert_eq!(first.iter().map(|stage| stage["name"].as_str().unwrap()).collect::<Vec<_>>(), stages);
 }
 
-/// Asserts that stages are all that there is to a whole. Of one sample: medians of several need not add up.
+/// Asserts that the stages add up to the total. Uses a single sample: medians of several need not add up.
 fn check_sums(arguments: &[&str], stages: &[&str]) {
     let (_, result) = bench(&[arguments, &["--iterations", "1"]].concat());
     let scene = &result["scenes"][0];
@@ -107,7 +107,7 @@ fn check_sums(arguments: &[&str], stages: &[&str]) {
     ] {
         let total = check_spread(total);
         assert!(of_stages <= total * (1.0 + 1e-6), "the stages take {of_stages} ms of {total}");
-        // What lies between two stages is short, unless other work takes the processor just then.
+        // The time between two stages is short, unless other work takes the processor just then.
         assert!(of_stages > 0.5 * total, "the stages take {of_stages} ms of {total}");
     }
 }
@@ -181,7 +181,7 @@ fn every_stage_is_timed_on_a_gpu() {
         Ok(gpu) => gpu,
         Err(error) => {
             assert!(std::env::var("REQUIRE_GPU").is_err(), "{error}");
-            // Past the capture of passing tests: a skip is to be seen.
+            // Written past the test harness's capture, so that a skip is visible.
             let _ = writeln!(std::io::stderr(), "skipped: {error}");
             return;
         }
@@ -202,7 +202,7 @@ fn every_stage_is_timed_on_a_gpu() {
         check_stages(&scene["render_stages"], &["render"]);
         check_stages(&scene["stages"], &["iteration"]);
     }
-    // Tiles that no pixel of a splat lies in are left out on the GPU alone.
+    // Only the GPU omits tiles in which a splat reaches no pixel.
     let (_, on_cpu) = bench(&[&small[..], &["--backend", "cpu", "--iterations", "1"]].concat());
     let cpu = &on_cpu["scenes"][0];
     assert_eq!(scene["gaussians"], cpu["gaussians"]);

@@ -1,5 +1,5 @@
-//! Files and numbers that would never end or take all memory: exit code 2 and one line that names them, soon and in
-//! little memory.
+//! Files and numbers that would never end or take all memory. The refusal is exit code 2 and one line that names the
+//! culprit, soon and within little memory.
 
 use std::fs;
 use std::io::{Read, Write};
@@ -14,10 +14,10 @@ use tempfile::{TempDir, tempdir};
 
 /// Time limit of a refusal: two seconds, doubled where tests share the processors.
 const MOST: Duration = Duration::from_secs(4);
-/// Most memory of a refusal, kilobytes.
+/// Largest memory of a refusal, kilobytes.
 const MOST_MEMORY: u64 = 200_000;
 
-/// Runs a command that must exit with 2, soon and in little memory, with one line that contains all of `expected`.
+/// Runs a command that must exit with 2, soon and within little memory, with one line that contains all of `expected`.
 fn refused(arguments: &[&str], expected: &[&str]) {
     let begin = Instant::now();
     let mut child = tcgs().args(arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
@@ -48,7 +48,7 @@ fn refused(arguments: &[&str], expected: &[&str]) {
     }
 }
 
-/// Paths of a device without an end, a pipe without a writer, a folder, and a file with a terabyte.
+/// Paths of an endless device, a pipe without a writer, a folder, and a sparse file of a terabyte.
 fn endless(folder: &Path) -> [(PathBuf, &'static str); 4] {
     let (pipe, long) = (folder.join("pipe.json"), folder.join("long.json"));
     assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
@@ -94,7 +94,7 @@ fn files_that_never_end_are_refused_inside_captures() {
     let endless_files = tempdir().unwrap();
     for (path, problem) in endless(endless_files.path()) {
         for name in ["train_meta.json", "capture.toml", "init_pt_cld.npz", "image", "transforms.json"] {
-            // A folder is none of these files, and another kind of capture may have it.
+            // A folder is not one of these files, and may belong to another kind of capture.
             if problem == "is a folder" && name != "train_meta.json"
                 || name.ends_with("npz") && problem.starts_with("has ")
             {
@@ -146,7 +146,7 @@ fn a_video_with_a_box_of_no_size_is_refused() {
     refuses_video(&bytes);
 }
 
-/// A box inside `mdia` has no size; its kind may be damaged, too.
+/// Checks a video in which a box inside `mdia` has no size; the kind of the box may be damaged, too.
 fn refuses_video(bad: &[u8]) {
     let folder = described(bad, "mp4");
     let out = folder.path().join("out");
@@ -169,7 +169,7 @@ fn the_video_that_never_ended_is_refused() {
     }
 }
 
-/// Sends Ctrl-C once a program that hangs has written its number into a file, and checks that both end.
+/// Sends Ctrl-C once a hanging program has written its process id into a file, and checks that both processes end.
 fn ctrl_c_ends(command: &mut Command, number: &Path, hanging: &str) {
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     let begin = Instant::now();
@@ -197,27 +197,27 @@ fn ctrl_c_ends(command: &mut Command, number: &Path, hanging: &str) {
     };
     let mut said = String::new();
     child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
-    // Before a command catches Ctrl-C, it ends the process at once.
+    // Ctrl-C ends a command at once before the command catches it.
     assert!([Some(130), None].contains(&status.code()), "{hanging}: {status:?} {said}");
     if status.code() == Some(130) {
-        // The process that adopts it may be slow to collect its exit status.
+        // The adopting process may be slow to collect the exit status.
         let stat = fs::read_to_string(format!("/proc/{}/stat", hung.trim())).unwrap_or_default();
         assert!(stat.is_empty() || stat.contains(") Z "), "{hanging} goes on: {stat}");
     }
 }
 
-/// Writes a script for the shell to be found as a program.
+/// Writes a shell script that is found as a program.
 fn write_program(place: &Path, script: &str) {
     fs::write(place, format!("#!/bin/sh\n{script}\n")).unwrap();
     fs::set_permissions(place, std::os::unix::fs::PermissionsExt::from_mode(0o755)).unwrap();
 }
 
-/// A search path with this folder first.
+/// The search path with this folder first.
 fn path_with(bin: &Path) -> String {
     format!("{}:{}", text(bin), std::env::var("PATH").unwrap())
 }
 
-/// Where `ffmpeg` hangs while it encodes, one Ctrl-C ends the command and the program.
+/// One Ctrl-C ends the command and `ffmpeg` if `ffmpeg` hangs while it encodes.
 #[test]
 fn an_encoder_that_hangs_ends_with_ctrl_c() {
     let folder = tempdir().unwrap();
@@ -233,7 +233,7 @@ fn an_encoder_that_hangs_ends_with_ctrl_c() {
     assert!(!video.exists());
 }
 
-/// Where `ffmpeg` or `ffprobe` hangs, one Ctrl-C ends the command and the program.
+/// One Ctrl-C ends the command and the program if `ffmpeg` or `ffprobe` hangs.
 #[test]
 fn a_program_that_hangs_ends_with_ctrl_c() {
     for hanging in ["ffprobe", "ffmpeg"] {

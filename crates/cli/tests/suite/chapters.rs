@@ -1,4 +1,5 @@
-//! A capture cut into chapters, each a run that starts from the state of another scene, and joined to one file.
+//! A capture divided into chapters. Each chapter is a run that starts from the state of another scene; all are joined
+//! into one file.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -8,7 +9,7 @@ use crate::support::*;
 use serde_json::Value;
 use tempfile::{TempDir, tempdir};
 
-/// A folder with a run `base` of frame 0; nobody writes to the run.
+/// A folder with a run `base` of frame 0, shared by all tests and never changed.
 fn base() -> &'static Path {
     static BASE: OnceLock<TempDir> = OnceLock::new();
     let folder = BASE.get_or_init(|| {
@@ -38,7 +39,7 @@ fn chapters_are_joined_at_a_border_of_segments() {
     for (run, frames) in [(&one, 0..3), (&two, 1..4)] {
         let metrics = metrics(run);
         assert!(metrics.iter().zip(frames).all(|(m, frame)| m["frame"] == frame && m["num_gaussians"] == of_base));
-        // Ten iterations, as a later timestep has: none of the first, which are thirty.
+        // The chapter has the ten iterations of a later timestep, not the thirty of the first.
         assert_eq!(metrics[0]["loss_curve"].as_array().unwrap().len(), 10);
     }
     let out = |name: &str| folder.path().join(name);
@@ -48,7 +49,7 @@ fn chapters_are_joined_at_a_border_of_segments() {
         succeed(&[&fixed[..], more].concat());
         path
     };
-    // Segments of two timesteps: the border after frame 1 is where the chapters are joined.
+    // With segments of two timesteps, the border after frame 1 is where the chapters are joined.
     let short = compress([&one, &two], "short.tcgs", &["--segment-length", "2"]);
     let other_order = compress([&two, &one], "order.tcgs", &["--segment-length", "2"]);
     assert!(fs::read(&short).unwrap() == fs::read(other_order).unwrap());
@@ -80,19 +81,19 @@ fn a_chapter_resumes_as_any_run() {
     let calm = chapter(&folder, "calm", "1..4", &[]);
     let broken = chapter(&folder, "broken", "1..2", &[]);
     for end in ["1..3", "1..4"] {
-        // Without --start-from the run's own counts.
+        // Without --start-from the run keeps its own start.
         train(&folder, "broken", &["--frames", end, "--resume"]);
     }
     assert!(checkpoints(&calm) == checkpoints(&broken));
     let run = |name: &str| folder.path().join(name);
     assert_eq!(fs::read(run("calm/config.toml")).unwrap(), fs::read(run("broken/config.toml")).unwrap());
-    // Stopped before its first timestep was done.
+    // As if stopped before the first timestep was finished.
     for name in fs::read_dir(run("broken/checkpoints")).unwrap() {
         fs::remove_file(name.unwrap().path()).unwrap();
     }
     train(&folder, "broken", &["--resume"]);
     assert!(checkpoints(&calm) == checkpoints(&broken));
-    // What it starts from is needed, and cannot become another.
+    // The start state is required, and cannot be replaced by another.
     let again = ["train", text(capture()), "--out", text(&broken), "--iterations", "30,10", "--resume"];
     let other = format!("{}@1", text(&base().join("base")));
     assert!(fail(2, &[&again[..], &["--start-from", &other]].concat()).contains("data.start_from differs"));
@@ -116,7 +117,7 @@ fn a_chapter_starts_from_any_scene() {
         let run = train(&folder, &name, &["--frames", "2..3", "--start-from", text(scene)]);
         let found = metrics(&run);
         assert_eq!(found.len(), 1);
-        // It stood at frame 1 already: far above what thirty iterations from points come to.
+        // The start state already has frame 1, so PSNR is far above that of thirty iterations from points.
         let psnr = found[0]["psnr"].as_f64().unwrap();
         let before = metrics(&base)[1]["psnr"].as_f64().unwrap();
         assert!(psnr > before - 1.0, "from {}: {psnr} dB after {before} dB", scene.display());

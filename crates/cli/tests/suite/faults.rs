@@ -1,5 +1,5 @@
-//! Faults outside of a command: full disks, signals, illegal outputs, other processes. Each ends in one line that
-//! begins with `tcgs:`, and leaves nothing behind.
+//! Faults outside a command: full disks, signals, illegal outputs, other processes. Each ends in one line that begins
+//! with `tcgs:`, and leaves nothing behind.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -25,7 +25,7 @@ fn trained() -> &'static Path {
     FOLDER.get_or_init(make).path()
 }
 
-/// Content of every file below a folder, by its name within; folders without.
+/// Content of every file below a folder, by relative name; folders have no content.
 fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut open = vec![folder.to_path_buf()];
@@ -46,7 +46,7 @@ fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     found
 }
 
-/// The last line of a command; lines of progress come before.
+/// The last line that a command prints; progress lines precede it.
 fn last_line(output: &Output) -> String {
     let message = String::from_utf8(output.stderr.clone()).unwrap();
     let is_remark = |line: &&str| {
@@ -59,7 +59,7 @@ fn last_line(output: &Output) -> String {
     line.into()
 }
 
-/// Runs a command that must be refused by a line with `expected`, and must change nothing in a folder.
+/// Runs a command that must fail with a line that contains `expected`, and must change nothing in a folder.
 fn refuse(folder: &Path, arguments: &[&str], expected: &str) {
     let before = contents(folder);
     let output = tcgs().current_dir(folder).args(arguments).output().unwrap();
@@ -69,8 +69,7 @@ fn refuse(folder: &Path, arguments: &[&str], expected: &str) {
     assert!(contents(folder) == before, "{arguments:?} changed something");
 }
 
-/// Commands whose output has more than a kilobyte: the arguments but the last one, and a name of an output to follow
-/// them.
+/// Commands whose output has more than a kilobyte: the arguments without the output, and a name for the output.
 fn writers() -> Vec<(Vec<&'static str>, &'static str)> {
     let file = |name: &str| -> &'static str { Box::leak(text(&trained().join(name)).to_owned().into_boxed_str()) };
     let (run, scene, capture) = (file("run"), file("scene.tcgs"), text(capture()));
@@ -109,7 +108,7 @@ fn writers() -> Vec<(Vec<&'static str>, &'static str)> {
     all
 }
 
-/// `ulimit -f` sends a signal that would end the process; the write is to fail instead, as on a full disk.
+/// `ulimit -f` sends a signal that would end the process; the write must fail instead, as on a full disk.
 #[test]
 fn a_write_that_fails_is_told_in_one_line() {
     let folder = tempdir().unwrap();
@@ -118,7 +117,7 @@ fn a_write_that_fails_is_told_in_one_line() {
         Command::new("bash").args(program).args(arguments).current_dir(folder.path()).output().unwrap()
     };
     for (arguments, name) in writers() {
-        // Its images are linked, not written.
+        // The capture's images are linked, not written.
         if name == "capture" {
             continue;
         }
@@ -199,7 +198,7 @@ fn signals_end_commands_and_leave_nothing() {
         commands.push(([&render[..], &["clip.mp4"]].concat(), "clip.mp4"));
     }
     for (arguments, name) in commands {
-        // The second of two ends the process before the work has noticed the first.
+        // The second of two signals ends the process before the work has noticed the first.
         for signals in [&["TERM"][..], &["HUP"], &["INT", "INT"]] {
             let folder = tempdir().unwrap();
             let child = begun(folder.path(), &arguments);
@@ -251,7 +250,7 @@ fn a_training_ends_after_its_step_by_any_signal_but_not_under_nohup() {
     assert!(child.wait().unwrap().success());
 }
 
-/// The table's training is a process of its own.
+/// The training of a table is a child process.
 #[test]
 fn a_signal_to_a_table_ends_its_training() {
     let folder = tempdir().unwrap();
@@ -315,7 +314,7 @@ fn a_source_is_never_replaced() {
     let twice = "is to be written twice";
     refuse(path, &["compress", "run", "--out", "new.tcgs", "--json", "./new.tcgs"], twice);
     refuse(path, &["eval", "scene.tcgs", "--capture", "capture", "--csv", "a", "--json", "a"], twice);
-    // Results beside the files of a run are no part of it.
+    // Results beside the files of a run are not part of it.
     for _ in 0..2 {
         let run = text(&path.join("run")).to_owned();
         succeed(&["compress", &run, "--json", &format!("{run}/compress.json"), "--force"]);
@@ -369,7 +368,7 @@ fn the_folders_of_strangers_stay_as_they_are() {
     write("marked/run/config.toml", "");
     write("prepared/prepare.json", "[]");
     write("prepared/diary.txt", "mine");
-    // A run that is killed at its beginning leaves its start alone.
+    // A run that is killed at its beginning does not change its start scene.
     let start = trained().join("run@0").to_str().unwrap().to_owned();
     let chapter = ["--start-from", &start, "--frames", "0..1", "--out", "chapter"];
     let chapter = [&train[..2], &["--iterations", "3,1", "--backend", "cpu"], &chapter].concat();
@@ -429,7 +428,7 @@ fn race(arguments: &[&str], name: &str) {
     assert_eq!(left, [name], "{arguments:?}");
 }
 
-/// Decoders allow less memory to so short a file than so many equal Gaussians take.
+/// Decoders limit the memory by the length of the file. So many equal Gaussians exceed the limit of so short a file.
 #[test]
 fn what_decoders_would_refuse_is_not_written() {
     let folder = tempdir().unwrap();

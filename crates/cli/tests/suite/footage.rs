@@ -1,4 +1,4 @@
-//! `tcgs prepare` on a folder of videos: masks of what moves, colours that differ, cameras that move.
+//! `tcgs prepare` on a folder of videos: masks of moving things, differing colours, moving cameras.
 
 use std::fs;
 use std::path::Path;
@@ -26,8 +26,8 @@ fn masks_are_made_of_videos_and_trained_with() {
     assert!(said.contains("capture: 10 frames") && said.contains("masks: 120, "), "{said}");
     assert_keys(&json(&result)["masks"], &["num_masks", "foreground", "seconds"]);
 
-    // Each is where it is looked for, of its camera and frame: as what moves in the rendered scene, which the capture's
-    // first frame is the third of.
+    // Each mask belongs to its camera and frame: it overlaps the motion in the rendered scene, two frames later than
+    // the capture's frame.
     let (capture, truth) = (Capture::open(&out).unwrap(), Capture::open(&folder.path().join("truth")).unwrap());
     assert!(capture.has_segmentation() && capture.facts().labels_motion);
     let (mut both, mut either) = (0, 0);
@@ -59,7 +59,7 @@ fn colours_are_evened_out_but_not_where_a_protocol_compares() {
         return;
     }
     let folder = tempdir().unwrap();
-    // Large enough for places to be found again in several cameras.
+    // Large enough for points to be matched between several cameras.
     let (source, offsets) = (videos_of(&folder, 4, [240, 180]), folder.path().join("offsets.txt"));
     // One camera is too dark.
     let (dark, bright) = (source.join("cam3.mp4"), folder.path().join("truth/bright.mp4"));
@@ -101,7 +101,7 @@ fn colours_are_evened_out_but_not_where_a_protocol_compares() {
         json(&result)["psnr"].as_f64().unwrap()
     };
     let (even, of_protocol) = (psnr(&[], true), psnr(&["--protocol", "stg"], false));
-    // After so short a training neither is near; they are compared with different images.
+    // After so short a training both are poor; the two PSNR values compare with different images.
     assert!((even - of_protocol).abs() > 0.5, "{even} dB with even colours, {of_protocol} dB as recorded");
     let description = out.join("capture.toml");
     let off = fs::read_to_string(&description).unwrap().replace("used = true", "used = false");
@@ -117,7 +117,7 @@ fn a_camera_that_moves_in_blocky_video_is_refused() {
     let folder = tempdir().unwrap();
     let (source, out, wide) = (folder.path().join("videos"), folder.path().join("out"), folder.path().join("wide.png"));
     fs::create_dir(&source).unwrap();
-    // Tiles of many greys, two sizes over each other.
+    // Tiles of many greys, in two sizes on top of each other.
     let tile = |x: u32, y: u32, size: u32| {
         let hash = (x / size).wrapping_mul(0x9E37_79B9) ^ (y / size).wrapping_mul(0x85EB_CA6B);
         (hash ^ (hash >> 15)).wrapping_mul(0x2C1B_3C6D) >> 12 & 255
@@ -130,7 +130,7 @@ fn a_camera_that_moves_in_blocky_video_is_refused() {
         let filter = format!("crop=480:360:x='{at}':y=0,noise=alls=30:allf=t,format=yuv420p");
         let video = source.join(format!("cam{camera}.mp4"));
         let arguments = ["-loop", "1", "-framerate", "20", "-i", text(&wide), "-frames:v", "40", "-vf", &filter];
-        // As little as a camera of the first generation writes: everything is blocks.
+        // Compressed like an early camera's video, with strong blocking.
         ffmpeg(&[&arguments[..], &["-c:v", "libx264", "-crf", "38", text(&video)]].concat());
         calibration += &format!(
             "[cam{camera}]\nsize = [480, 360]\nmatrix = [[450, 0, 239.5], [0, 450, 179.5], [0, 0, 1]]\n\

@@ -1,7 +1,7 @@
-//! `--force` of every command, onto names relative to where one stands, and on another file system; and what killed
-//! commands leave behind.
+//! `--force` of every command, onto names relative to the working directory, and on another file system; also the
+//! unfinished output of killed commands.
 //!
-//! `demo` is not here, since it takes a minute: continuous integration runs it twice, by a relative name.
+//! `demo` is not tested here, since it takes a minute: continuous integration runs it twice, with a relative name.
 
 use std::fs::{self, File};
 use std::io::Write;
@@ -12,7 +12,7 @@ use std::time::{Duration, Instant, SystemTime};
 use crate::support::*;
 use tempfile::{TempDir, tempdir};
 
-/// A folder with a capture, a run of it and its file, under the names `capture`, `run` and `scene.tcgs`.
+/// A folder with a capture, a run of it and its file, named `capture`, `run` and `scene.tcgs`.
 fn workplace() -> TempDir {
     workplace_in(&std::env::temp_dir())
 }
@@ -45,7 +45,7 @@ fn entries(folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     let mut open = vec![folder.to_owned()];
     while let Some(folder) = open.pop() {
-        // A temporary folder may have got another name meanwhile.
+        // A temporary folder may have been renamed meanwhile.
         for entry in fs::read_dir(&folder).into_iter().flatten() {
             let path = entry.unwrap().path();
             if path.is_dir() {
@@ -63,14 +63,14 @@ fn unfinished(folder: &Path) -> Vec<PathBuf> {
     entries(folder).into_iter().filter(is_unfinished).collect()
 }
 
-/// Runs a command twice, whose outputs lie in the folder; the second time without and with `--force`.
+/// Runs a command whose outputs lie in the folder, then runs it again without and with `--force`.
 fn twice(folder: &Path, arguments: &[&str], outputs: &[&str]) {
     succeed_in(folder, arguments);
     let before = entries(folder);
     for output in outputs {
         assert!(folder.join(output).exists(), "{arguments:?} left no {output}");
     }
-    // A file of an earlier time, which replacing has to remove.
+    // A file from an earlier run, which replacing must remove.
     let stale = outputs.iter().map(|output| folder.join(output)).find(|path| path.is_dir());
     let stale = stale.map(|output| match arguments[0] {
         "export" => output.join("123456.ply"),
@@ -89,7 +89,7 @@ fn twice(folder: &Path, arguments: &[&str], outputs: &[&str]) {
     assert!(stale.is_none_or(|stale| !stale.exists() || fs::read(stale).unwrap() != b"stale"));
 }
 
-/// Every command that writes, but `demo`.
+/// Every command that writes, except `demo`.
 fn every_command(folder: &Path) {
     let with_json = |arguments: &[&str], name: &str, outputs: &[&str]| {
         let json = format!("{name}.json");
@@ -130,7 +130,7 @@ fn every_command_replaces_on_another_file_system() {
 fn outputs_may_lie_on_another_file_system_than_where_one_stands() {
     let Some(other) = on_another_file_system() else { return };
     let here = workplace();
-    // Of both kinds: a folder by its own name, and one that a link leads to.
+    // Outputs under their own names, and through links.
     let elsewhere = text(other.path());
     let frames = format!("{elsewhere}/frames2");
     let render = ["render", "scene.tcgs", "--size", "16x12", "--frames", "0..1", "--out", &frames];
@@ -153,7 +153,7 @@ fn outputs_may_lie_on_another_file_system_than_where_one_stands() {
     assert_eq!(unfinished(here.path()), [] as [PathBuf; 0]);
 }
 
-/// As [`twice`], of one output in another folder.
+/// As [`twice`], for one output in another folder.
 fn twice_elsewhere(here: &Path, arguments: &[&str], elsewhere: &Path) {
     succeed_in(here, arguments);
     let before = entries(elsewhere);
@@ -162,7 +162,7 @@ fn twice_elsewhere(here: &Path, arguments: &[&str], elsewhere: &Path) {
     assert_eq!(entries(elsewhere), before, "{arguments:?}");
 }
 
-/// A [`workplace`] in memory where temporary files lie on a disk; `None`, with a message, where there is no such place.
+/// A [`workplace`] in memory, if temporary files lie on a disk; `None`, with a message, if that is impossible.
 fn on_another_file_system() -> Option<TempDir> {
     let skip = |reason: &str| {
         let _ = writeln!(std::io::stderr(), "skipped: {reason}");
@@ -177,7 +177,7 @@ fn on_another_file_system() -> Option<TempDir> {
             (Ok(memory_device), Ok(disk)) if memory_device != disk => {}
             _ => return skip("no /dev/shm that is another file system than that of temporary files"),
         }
-        // Memory of containers is often too small for a test.
+        // The memory of a container is often too small for a test.
         match tempfile::tempdir_in(memory).and_then(|probe| fs::write(probe.path().join("probe"), vec![1; 32 << 20])) {
             Ok(()) => Some(workplace_in(memory)),
             Err(error) => skip(&format!("/dev/shm: {error}")),
@@ -200,7 +200,7 @@ fn a_link_to_nothing_is_refused_before_the_work() {
     }
 }
 
-/// What a killed rendering leaves is removed by another command a day later, and not before.
+/// A command removes the output of a killed rendering after a day, and not before.
 #[test]
 fn what_a_killed_command_left_is_removed_after_a_day() {
     let folder = workplace();
@@ -211,13 +211,13 @@ fn what_a_killed_command_left_is_removed_after_a_day() {
         render.stdout(Stdio::null()).stderr(Stdio::null());
         render
     };
-    // One that is killed, one that goes on writing (or rather stands still, until the end of the test).
+    // One rendering is killed; another continues to write, or is suspended until the end of the test.
     let begun = |out: &str, earlier: &[PathBuf]| {
         let mut child = render(out).args(["--path", "orbit"]).spawn().unwrap();
         let end = Instant::now() + Duration::from_secs(60);
         let found = loop {
             let new = unfinished(path).into_iter().find(|path| !earlier.contains(path));
-            // Only once there is something in it: then its mark is whole as well.
+            // Waits until the folder has content: then its mark is whole as well.
             if let Some(new) = new.filter(|new| entries(new).len() > 1) {
                 break new;
             }
@@ -233,7 +233,7 @@ fn what_a_killed_command_left_is_removed_after_a_day() {
     let another = path.join(".writing-of-another-program");
     fs::create_dir(&another).unwrap();
 
-    // An hour later it stays, for whoever wonders where the work is.
+    // The folder stays for an hour, so that a user can look for lost work.
     set_age(&left, Duration::from_secs(3600));
     set_age(&another, Duration::from_secs(1_000_000));
     succeed_in(path, &["info", "scene.tcgs", "--json", "1.json"]);
@@ -244,7 +244,7 @@ fn what_a_killed_command_left_is_removed_after_a_day() {
 
     #[cfg(target_os = "linux")]
     {
-        // A process that stands still for days still owns its folder.
+        // A process that is suspended for days still owns its folder.
         let (mut stopped, used) = begun("stopped", std::slice::from_ref(&another));
         signal(&stopped, "STOP");
         set_age(&used, Duration::from_secs(1_000_000));
@@ -263,7 +263,7 @@ fn signal(child: &std::process::Child, name: &str) {
     assert!(status.unwrap().success());
 }
 
-/// Sets how long ago a folder and all in it last changed.
+/// Sets the age of a folder and of everything in it.
 fn set_age(path: &Path, age: Duration) {
     let times = SystemTime::now() - age;
     for entry in entries(path) {
@@ -277,7 +277,7 @@ fn open_for_times(path: &Path) -> File {
     File::open(path).unwrap()
 }
 
-/// Windows sets times only through what is opened to be written, and opens folders only on demand.
+/// Windows sets times only through a handle opened for writing, and opens folders only with a flag.
 #[cfg(windows)]
 fn open_for_times(path: &Path) -> File {
     use std::os::windows::fs::OpenOptionsExt;

@@ -1,4 +1,5 @@
-//! Sequences of other programs: PLY files with spherical harmonics, and with another number of Gaussians in every file.
+//! Sequences of other programs: PLY files with spherical harmonics, and with a different number of Gaussians in every
+//! file.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -8,7 +9,7 @@ use tcgs_core::{Gaussians, Layout};
 use tcgs_interchange::{ReadSettings, read_ply, write_ply_to};
 use tempfile::tempdir;
 
-/// Some Gaussians on a turning sphere around the origin, where the test capture looks.
+/// Some Gaussians on a turning sphere around the origin, in view of the test capture.
 fn sphere(timestep: usize, num_gaussians: usize) -> Gaussians {
     let mut gaussians = Gaussians::zeros(num_gaussians);
     for i in 0..num_gaussians {
@@ -24,7 +25,7 @@ fn sphere(timestep: usize, num_gaussians: usize) -> Gaussians {
     gaussians
 }
 
-/// The same with harmonics of degree 3, all coefficients different.
+/// The same Gaussians with harmonics of degree 3, all coefficients different.
 fn with_harmonics(gaussians: Gaussians) -> Gaussians {
     let mut gaussians = gaussians.extended(&Layout::with_harmonics(3));
     for (l, band) in gaussians.layout().harmonics().into_iter().enumerate() {
@@ -67,7 +68,7 @@ fn harmonics_are_drawn_measured_and_written() {
     let scene: Vec<Gaussians> = plain.iter().cloned().map(with_harmonics).collect();
     let (plain, plys) = (write(&path("plain"), &plain), write(&path("plys"), &scene));
 
-    // Pictures differ by the harmonics alone.
+    // The pictures differ only by the harmonics.
     let drawn = pictures(&plys, &path("drawn"), &[]);
     let dropped = pictures(&plys, &path("dropped"), &["--drop-sh"]);
     assert_eq!((drawn.len(), &dropped), (3, &pictures(&plain, &path("without"), &[])));
@@ -84,7 +85,7 @@ fn harmonics_are_drawn_measured_and_written() {
     assert_eq!(result["bytes"], 200 * (40 * 3 + 16 + 180));
     assert_ne!(result["psnr"], eval(&plys, &["--drop-sh"])["psnr"]);
 
-    // Out and back, every bit of a coefficient stays.
+    // Every bit of a coefficient survives export and import.
     let said = succeed(&["export", text(&plys), "--to", text(&path("back"))]);
     assert!(said.contains("200 Gaussians with harmonics of degree 3, 3 timesteps"), "{said}");
     for (t, gaussians) in scene.iter().enumerate() {
@@ -107,7 +108,7 @@ fn harmonics_are_drawn_measured_and_written() {
     assert_eq!(written.len(), floats.len());
     assert!(written.chunks(4).zip(floats.chunks(4)).all(|(a, b)| (value(a) - value(b)).abs() < 1e-7));
 
-    // What has no place for harmonics says so.
+    // A format without harmonics refuses them in a message.
     let message = fail(2, &["export", text(&plys), "--to", text(&path("params.npz"))]);
     assert!(message.contains("the column sh1, which a params.npz cannot hold"), "{message}");
     succeed(&["export", text(&plys), "--drop-sh", "--to", text(&path("params.npz"))]);
@@ -139,7 +140,7 @@ fn the_number_of_gaussians_may_change_in_every_file() {
     let scene: Vec<Gaussians> = numbers.iter().enumerate().map(|(t, &n)| with_harmonics(sphere(t, n))).collect();
     let plys = write(&path("plys"), &scene);
 
-    // Each frame is drawn as if it were alone.
+    // Each frame is drawn as if it were the only one.
     let drawn = pictures(&plys, &path("drawn"), &[]);
     assert_eq!(drawn.len(), 4);
     let of_capture = |scene: &Path, out: &Path, frames: &str| {

@@ -1,5 +1,5 @@
-//! Files that were made to exhaust memory or time are refused in one line, within little of both. Their texts do not
-//! control the terminal.
+//! Files made to exhaust memory or time are refused in one line, within little of both. Their texts do not control the
+//! terminal.
 
 use std::fs;
 use std::io::{Read, Write};
@@ -14,9 +14,9 @@ use tcgs_core::Gaussians;
 use tcgs_interchange::{fourdgs_bytes, write_glb_to};
 use tempfile::{TempDir, tempdir};
 
-/// Most memory that refusing a file of less than 1 MB may take, kilobytes.
+/// Largest memory for refusing a file of less than 1 MB, kilobytes.
 const MOST_KILOBYTES: u64 = 200_000;
-/// A refusal takes a tenth of a second; other tests run on the same processors.
+/// Limit on the time of a refusal. A refusal takes a tenth of a second; other tests run on the same processors.
 const MOST_TIME: Duration = Duration::from_secs(10);
 
 /// Output and exit code of a command, its peak memory (kB), and its time.
@@ -113,7 +113,7 @@ fn spz_files_that_unpack_to_gigabytes() {
     no_command_reads(&place.write("zstandard.spz", [head, table, frames].concat()), LIMIT);
 }
 
-/// The JSON and the buffer of a `.glb` file of so many Gaussians.
+/// The JSON and the buffer of a `.glb` file with a number of Gaussians.
 fn gltf(num_gaussians: usize) -> (Value, Vec<u8>) {
     let mut gaussians = Gaussians::zeros(num_gaussians);
     gaussians.quats_mut().fill([1.0, 0.0, 0.0, 0.0]);
@@ -163,7 +163,7 @@ fn gltf_files_that_show_much_of_little() {
     no_command_reads(&place.write("rows.glb", glb(&rows, &buffer)), LIMIT);
 }
 
-/// A `.4dgs` file of two equal Gaussians, all whose streams are constants.
+/// A `.4dgs` file of two equal Gaussians whose streams are all constants.
 fn fourdgs(rate: f64) -> Vec<u8> {
     let mut gaussians = Gaussians::zeros(2);
     gaussians.quats_mut().fill([1.0, 0.0, 0.0, 0.0]);
@@ -215,7 +215,7 @@ fn npz_of_zeros(arrays: &[(&str, &[usize])]) -> Vec<u8> {
         }
         let (packed, file) = (packed.finish().unwrap(), format!("{name}.npy"));
         let sizes = [crc.sum(), packed.len() as u32, (start.len() + num_values) as u32].map(u32::to_le_bytes);
-        // Version 2.0, no flags, deflated, no time; then the sizes, the length of the name, nothing further.
+        // Version 2.0, no flags, deflated, no time; then the sizes, the length of the name, nothing else.
         let common = [&b"\x14\0\0\0\x08\0\0\0\0\0"[..], sizes.as_flattened(), &[file.len() as u8, 0, 0, 0]].concat();
         let at = (files.len() as u32).to_le_bytes();
         table.extend([&b"PK\x01\x02\x14\0"[..], &common[..], &[0; 10], &at, file.as_bytes()].concat());
@@ -251,12 +251,12 @@ fn archives_of_zeros() {
     let points = place.write("points.npz", npz_of_zeros(&[("data", &[4_000_000, 7])]));
     let run = place.0.path().join("run");
     is_refused(&["train", text(capture()), "--out", text(&run), "--points", text(&points)], LIMIT);
-    // The array alone is within the limit, the points made of it are not.
+    // The array alone is within the limit; the points made from it are not.
     let twice = place.write("twice.npz", npz_of_zeros(&[("data", &[2_300_000, 7])]));
     is_refused(&["train", text(capture()), "--out", text(&run), "--points", text(&twice)], LIMIT);
 }
 
-/// A `.ply` file of points with any header.
+/// A `.ply` file of points with an arbitrary header.
 fn ply(format: &str, header: &str, rest: &[u8]) -> Vec<u8> {
     [format!("ply\nformat {format} 1.0\n{header}end_header\n").as_bytes(), rest].concat()
 }
@@ -301,7 +301,7 @@ fn devices_in_the_place_of_files() {
     let run = place.0.path().join("run");
     for name in ["a.ply", "a.npz"] {
         let points = place.0.path().join(name);
-        // The link is followed first, and its target has no ending.
+        // The link is resolved first, and its target has no ending.
         is_refused(&["train", text(capture()), "--out", text(&run), "--points", text(&points)], "expected points as");
     }
 }
@@ -323,7 +323,7 @@ fn files_that_broke_a_reader_before() {
 #[test]
 fn who_knows_a_file_lifts_its_limits() {
     let place = Place::new();
-    // 69,000 timesteps at thirty a second.
+    // 69,000 timesteps at thirty frames per second.
     let path = place.write("hour.4dgs", fourdgs(1.0 / 2300.0));
     let one = place.0.path().join("one.ply");
     let arguments = ["export", text(&path), "--frames", "0..1", "--to", text(&one)];
@@ -351,7 +351,7 @@ fn texts_of_files_do_not_control_the_terminal() {
     let (mut document, buffer) = gltf(3);
     document["extensionsRequired"] = json!([format!("{escape}{bell}")]);
     export(&place.write("a.glb", glb(&document, &buffer)));
-    // The name of a file, in a message and in what is said of a scene.
+    // A file name, in an error message and in the description of a scene.
     let named = place.write(&format!("{escape}.ply"), "ply\n");
     export(&named);
     let (document, buffer) = gltf(3);

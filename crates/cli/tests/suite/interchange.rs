@@ -19,7 +19,7 @@ fn a_folder_of_several_kinds_becomes_a_file_and_glb_files() {
     fs::create_dir(path("source")).unwrap();
     let kinds = ["original.ply", "gsply_v3.spz", "splat_transform.compressed.ply", "splat_transform_37_v4.spz"];
     for (i, name) in kinds.into_iter().enumerate() {
-        // Endings do not say what a file is.
+        // A file's format does not depend on its ending.
         fs::copy(file(name), path("source").join(format!("00000{i}.ply"))).unwrap();
     }
     let said = succeed(&["compress", text(&path("source")), "--bits", "8,8", "--out", text(&path("scene.tcgs"))]);
@@ -28,10 +28,10 @@ fn a_folder_of_several_kinds_becomes_a_file_and_glb_files() {
     assert_eq!(fs::read_dir(path("frames")).unwrap().count(), 4);
     succeed(&["eval", text(&path("source")), "--capture", text(capture())]);
 
-    // Out as glTF, in again.
+    // Exported as glTF and read again.
     for scene in ["source", "scene.tcgs"] {
         let glbs = path(&format!("{scene}.glbs"));
-        // A name with an ending is that of a file, unless it is a folder's.
+        // A name with an ending is that of a file, unless a folder has the name.
         fs::create_dir(&glbs).unwrap();
         succeed(&["export", text(&path(scene)), "--to", text(&glbs), "--files", "glb", "--frames", "1..4"]);
         let files = TimestepFiles::open(&glbs, ReadSettings::default()).unwrap();
@@ -96,7 +96,7 @@ fn assumed_axes_are_told_and_an_option_sets_others() {
         format!("note: {}: axes assumed rdf, as PLY files have; --axes rub if it is upside down", path.display());
     assert_eq!(said, [expected]);
     assert!(is_near(&found));
-    // Declared, or given.
+    // Axes declared by the file, or given as an option.
     let (said, found) = export("niantic_rub.spz", &[], "b.ply");
     assert!(said.is_empty() && is_near(&found));
     let (said, found) = export("splat_transform_v3.spz", &["--axes", "RUB"], "c.ply");

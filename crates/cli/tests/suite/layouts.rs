@@ -10,9 +10,9 @@ use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
 use tcgs_core::{Camera, View};
 use tempfile::{TempDir, tempdir};
 
-/// Trains a little and judges by the cameras held out.
+/// Trains a little and evaluates on the held-out cameras.
 ///
-/// - returns: what was said, and the mean PSNR
+/// - returns: the output, and the mean PSNR
 fn train_and_judge(capture: &Path, more: &[&str]) -> (String, f64) {
     let folder = tempdir().unwrap();
     let (run, result) = (folder.path().join("run"), folder.path().join("eval.json"));
@@ -21,7 +21,7 @@ fn train_and_judge(capture: &Path, more: &[&str]) -> (String, f64) {
     (said, json(&result)["psnr"].as_f64().unwrap())
 }
 
-/// The synthetic capture with 16 cameras, 10 of them for judging, without masks.
+/// The synthetic capture with 16 cameras, one of them held out, without masks.
 fn synthetic() -> TempDir {
     let folder = tempdir().unwrap();
     let settings = SyntheticSettings { num_train_cameras: 15, num_timesteps: 2, num_points: 3000, ..SETTINGS };
@@ -30,7 +30,7 @@ fn synthetic() -> TempDir {
     folder
 }
 
-/// Its images of one frame, the camera for judging at place 10.
+/// Its images of one frame, that of the held-out camera at index 10.
 fn views(capture: &Capture, frame: usize) -> Vec<View> {
     let mut views = capture.views(Split::Train, frame, 1).unwrap();
     views.insert(10, capture.views(Split::Test, frame, 1).unwrap().remove(0));
@@ -120,7 +120,7 @@ fn a_cameras_images_may_change_their_size() {
     let (file, run) = (folder.path().join("transforms.json"), folder.path().join("run"));
     let mut transforms = json(&file);
     for frame in transforms["frames"].as_array_mut().unwrap().iter_mut().filter(|frame| frame["time"] == 1) {
-        // Pincushion distortion: straightened images are smaller.
+        // Pincushion distortion: undistorted images are smaller.
         frame["k1"] = json!(0.2);
     }
     fs::write(&file, transforms.to_string()).unwrap();
@@ -157,7 +157,7 @@ fn the_papers_settings_follow_the_layout() {
     let config = tcgs_train::Run::open(&train("default")).unwrap().config().clone();
     assert_eq!((config.rates.log_scale, config.weights.stillness), (0.001, 0.5));
     succeed(&["compress", text(&run), "--preset", "paper"]);
-    // A run is gone on with on its own points.
+    // A resumed run uses its own points.
     let more = ["--resume", "--frames", "0..2"];
     succeed(&[&["train", text(folder.path()), "--out", text(&run)], &more[..]].concat());
     let wrong = folder.path().join("cameras_parameters.txt");
@@ -166,19 +166,19 @@ fn the_papers_settings_follow_the_layout() {
     assert!(message.contains("data.points differs from the run's"), "{message}");
 }
 
-/// A real capture, or nothing, which skips the test unless `REQUIRE_GOLDEN` is set.
+/// A real capture; `None` skips the test, unless `REQUIRE_GOLDEN` is set.
 fn shared(name: &str) -> Option<PathBuf> {
     let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join(name);
     if path.is_dir() {
         return Some(path);
     }
     assert!(std::env::var_os("REQUIRE_GOLDEN").is_none(), "{} is absent", path.display());
-    // Past the capture of passing tests: a skip is to be seen.
+    // Written past the test harness's capture, so that a skip is visible.
     let _ = writeln!(std::io::stderr(), "skipped: {} is absent", path.display());
     None
 }
 
-/// Nothing is removed, so that so few iterations leave something to look at.
+/// Disables pruning, so that so few iterations leave something visible.
 const KEEP: [&str; 5] = ["--no-mask", "--set", "densify.prune_opacity_end=0.005", "--set", "densify.reset=1000000"];
 
 #[test]
@@ -222,7 +222,7 @@ fn temple_trains() {
     assert!(psnr > 18.5, "{psnr} dB");
 }
 
-/// Grey points all over the box that the temple's README gives.
+/// Grey points all over the bounding box in the temple's README.
 fn write_box(path: &Path) {
     const NUM_POINTS: usize = 4000;
     let (low, high) = ([-0.073568, 0.021728, -0.012445], [0.028855, 0.181892, 0.062736]);

@@ -1,4 +1,4 @@
-//! The command line, as people type it.
+//! The command line, as users call it.
 
 // Helpers of tests may unwrap, as tests may.
 #![allow(clippy::unwrap_used)]

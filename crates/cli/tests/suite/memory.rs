@@ -1,4 +1,4 @@
-//! Training takes no more memory the longer a capture is.
+//! The memory of training does not grow with the length of the capture.
 
 use std::fs;
 use std::path::Path;
@@ -18,7 +18,7 @@ fn arguments<'a>(capture: &'a Path, run: &'a Path, frames: &'a str) -> Vec<&'a s
     [&["train", text(capture), "--out", text(run)], &fixed[..]].concat()
 }
 
-/// Most address space that a command ever had, kilobytes.
+/// Peak address space of a command, kilobytes.
 fn peak(arguments: &[&str]) -> u64 {
     let mut child = tcgs().args(arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
     let mut peak = 0;
@@ -45,14 +45,14 @@ fn hundreds_of_timesteps_fit_where_thirty_do() {
     let (capture, short, long, tight) = (path("capture"), path("short"), path("long"), path("tight"));
     let most = peak(&arguments(&capture, &short, "0..30"));
     assert!(most > 0);
-    // Were the floats of all timesteps kept, 370 more of them would be 45 MB.
+    // The floats of 370 more timesteps would be 45 MB.
     let slack = (16 * 1024).min(most / 10);
     let output = limited(most + slack, &arguments(&capture, &long, &format!("0..{num_timesteps}")));
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     assert_eq!(checkpoints(&long).len(), num_timesteps);
     eprintln!("{num_timesteps} timesteps within {} kB, 30 take {most} kB", most + slack);
 
-    // The limit is one: a small part of it does not do. Threads reserve more addresses than they need.
+    // The limit takes effect: a small part of it is too little. Threads reserve more addresses than they need.
     let output = limited(most / 16, &arguments(&capture, &tight, "0..10"));
     assert!(!output.status.success(), "a limit of {} kB limits nothing", most / 16);
 }

@@ -1,4 +1,4 @@
-//! The lines that say what comes next run as they are printed.
+//! Suggested next commands run as they are printed.
 
 use std::path::Path;
 use std::process::Command;
@@ -28,7 +28,7 @@ fn shell(line: &str, folder: &Path) -> String {
 fn each_next_line_runs_as_it_is_printed() {
     let folder = tempdir().unwrap();
     let here = folder.path();
-    // All cameras are trained on, so that none judges.
+    // All cameras are training cameras, so none is held out.
     let settings = SyntheticSettings {
         width: 64,
         height: 48,

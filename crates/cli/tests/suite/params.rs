@@ -7,7 +7,7 @@ use crate::support::*;
 use tcgs_interchange::{ParamsExtras, ReadLimits, read_params_foreground, read_params_npz, write_params_npz};
 use tempfile::tempdir;
 
-/// Exports a scene, and counts its foreground and background Gaussians.
+/// Exports a scene and counts its foreground and background Gaussians.
 ///
 /// - returns: the counts, and standard error
 fn exported(scene: &Path, params: &Path) -> ([usize; 2], String) {
@@ -24,7 +24,7 @@ fn the_foreground_survives_compression() {
     let path = |name: &str| folder.path().join(name);
     let trained = train(&folder, "run", &[]);
     let of_run = exported(&trained, &path("of_run.npz")).0;
-    // With marks of its own.
+    // A scene with its own foreground marks.
     let (params, scene) = (path("params.npz"), read_params_npz(&path("of_run.npz")).unwrap());
     let foreground: Vec<bool> = (0..scene.num_gaussians()).map(|i| i % 3 == 0).collect();
     let extras = ParamsExtras { foreground: Some(&foreground), ..ParamsExtras::default() };
@@ -49,7 +49,7 @@ fn the_foreground_survives_compression() {
         assert!(remarks.contains("no Gaussian is marked as background"), "{remarks}");
     }
 
-    // Where there are no marks, a line says so.
+    // A scene without marks gets a line that says so.
     succeed(&["export", text(&trained), "--to", text(&path("plys"))]);
     let output = run(&["compress", text(&path("plys")), "--bits", "6,6", "--keep-foreground"]);
     let remarks = String::from_utf8(output.stderr).unwrap();

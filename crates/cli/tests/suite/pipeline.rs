@@ -1,4 +1,4 @@
-//! From a capture to a file and back, as a user does it: what is printed, written and left alone.
+//! From a capture to a file and back, as a user does it: output, written files, and unchanged files.
 
 use std::fs;
 use std::io::Write;
@@ -231,7 +231,7 @@ fn a_run_goes_to_params_npz_and_from_there_to_a_file() {
     assert_eq!((&stages[4]["name"], &stages[5]["name"]), (&"plain".into(), &"file".into()));
     assert_eq!(stages[4]["bytes"], stages[3]["bytes"]);
 
-    // With 16 bits and every timestep, what comes back is what was exported, in another order.
+    // With 16 bits and every timestep, decoding gives the exported values, in another order.
     let precise = path("precise.tcgs");
     let bits = ["--bits", "16,16", "--position-bits", "16"];
     let given = ["compress", text(&params), "--no-keypoints", "--out", text(&precise)];
@@ -358,13 +358,13 @@ fn every_protocol_has_its_names_and_lpips_where_there_are_weights() {
     }
 }
 
-/// Antialiasing goes from the settings of a training into the file, and is what the file is drawn with.
+/// Antialiasing passes from the training settings into the file, and the file is drawn with it.
 #[test]
 fn an_antialiased_training_gives_an_antialiased_file() {
     let folder = tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     let run = train(&folder, "run", &["--set", "render.antialiased=true", "--frames", "0..2"]);
-    // What is read from the disk goes on as it was.
+    // A resumed run keeps the setting that it reads from the disk.
     let resumed = ["train", text(capture()), "--out", text(&run), "--resume", "--frames", "0..3"];
     succeed(&[&resumed[..], &["--iterations", "30,10"], &["--set", "births.enabled=false"]].concat());
     let (file, result) = (path("scene.tcgs"), path("result.json"));
@@ -379,7 +379,7 @@ fn an_antialiased_training_gives_an_antialiased_file() {
     };
     let (of_run, of_file) = (psnr(&run), psnr(&file));
     assert!((of_run - of_file).abs() < 0.1, "{of_run} dB of the run, {of_file} dB of the file");
-    // The oldest version does not hold it.
+    // Version 1 cannot hold antialiased scenes.
     let message = fail(2, &["compress", text(&run), "--format", "1", "--out", text(&path("1.tcgs"))]);
     assert!(message.contains("antialiasing"), "{message}");
 }

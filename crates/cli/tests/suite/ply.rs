@@ -1,4 +1,4 @@
-//! PLY files: out of a scene, into other programs, and back.
+//! PLY files: exported from a scene, and imported from other programs.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -53,7 +53,7 @@ fn a_run_goes_to_ply_files_and_from_there_to_a_file_that_renders() {
     let written: u64 = names(&plys).iter().map(|name| fs::metadata(plys.join(name)).unwrap().len()).sum();
     assert_eq!(json(&path("export.json"))["bytes"], written);
 
-    // The same floats as in a params.npz; colours but for their offset.
+    // The same floats as in a params.npz; colours differ only by their offset.
     succeed(&["export", text(&run), "--to", text(&params)]);
     let (floats, files) =
         (read_params_npz(&params).unwrap(), TimestepFiles::open(&plys, ReadSettings::default()).unwrap());
@@ -133,7 +133,7 @@ fn opacities_and_scales_that_vary_survive() {
         assert!(message.contains(expected), "{message}");
         assert!(!params.exists());
     }
-    // One timestep does not vary.
+    // A single timestep does not vary.
     succeed(&["export", text(&file), "--frames", "5..6", "--to", text(&params)]);
     succeed(&["info", text(&file), "--json", text(&path("info.json"))]);
     assert!(json(&path("info.json"))["keypoints_mean"]["logit_opacities"].as_f64().unwrap() > 1.2);
@@ -159,7 +159,7 @@ fn what_does_not_fit_is_one_line() {
     let write = |gaussians: &Gaussians| {
         write_ply_to(fs::File::create(plys.join("globe_2.ply")).unwrap(), gaussians).unwrap();
     };
-    // Another order or number of Gaussians is not refused: those found again are followed.
+    // A different order or number of Gaussians is not refused: matching Gaussians are followed.
     for (name, rows) in [("shuffled.tcgs", &shuffled[..]), ("fewer.tcgs", &shuffled[..299])] {
         write(&globe(2).select(rows));
         succeed(&["compress", text(&plys), "--bits", "6,6", "--out", text(&path(name))]);
@@ -185,7 +185,7 @@ fn what_does_not_fit_is_one_line() {
     assert!(!Path::new(&out).exists() && !path("back").exists() && !path("a.ply").exists());
 }
 
-/// What is attached to a file comes out again, byte for byte; what is not what it is said to be is refused.
+/// Attached data are returned byte for byte; data that do not match their declared kind are refused.
 #[test]
 fn data_of_applications_go_in_and_come_out() {
     let folder = tempdir().unwrap();
@@ -222,7 +222,7 @@ fn data_of_applications_go_in_and_come_out() {
     }
 }
 
-/// Plain floats are those of the decoder, bit for bit; also infinite ones, and none.
+/// Plain floats equal the decoder's bit for bit, including infinite ones and empty scenes.
 #[test]
 fn plain_floats_are_those_of_the_file() {
     let folder = tempdir().unwrap();

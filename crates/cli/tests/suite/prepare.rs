@@ -1,4 +1,4 @@
-//! `tcgs prepare`: a capture without points becomes one with points, and the doctor has its exit codes.
+//! `tcgs prepare`: a capture without points gets some, and the check has its exit codes.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +6,7 @@ use crate::support::*;
 use tcgs_capture::{Capture, SyntheticSettings, write_synthetic};
 use tempfile::{TempDir, tempdir};
 
-/// A capture that the doctor can see something in; with points.
+/// A capture with points and enough texture for the check.
 fn footage(folder: &TempDir) -> PathBuf {
     let path = folder.path().join("footage");
     let settings = SyntheticSettings { num_timesteps: 2, ..SyntheticSettings::default() };
@@ -49,7 +49,8 @@ fn footage_becomes_a_capture_that_trains() {
     assert!((2000..5000).contains(&cloud.points.len()) && foreground > 300, "{result}");
     assert!(!points(&source).exists(), "the source is not touched");
 
-    // Not over something else; over itself when told, with the same bytes whatever the threads.
+    // The command replaces only its own output, and only with --force. The bytes do not depend on the number of
+    // threads.
     let before = std::fs::read(points(&out)).unwrap();
     fail(2, &prepare);
     succeed(&[&prepare[..], &["--force", "--threads", "1"]].concat());
@@ -96,7 +97,7 @@ fn what_cannot_be_prepared_is_named() {
     std::fs::create_dir(&empty).unwrap();
     refuse(&[text(&empty), "--out", "x"], &["empty: no videos here, expected one for each camera"]);
     refuse(&[text(&empty), "--out", "x", "--fps", "30"], &["empty: no videos here"]);
-    // A dry run finds what would make the command fail.
+    // A dry run reports the errors of the real run.
     let taken = folder.path().join("taken");
     std::fs::create_dir(&taken).unwrap();
     std::fs::write(taken.join("diary.txt"), "x").unwrap();
@@ -169,7 +170,7 @@ fn masks_are_made_where_there_are_none() {
     let foreground = &capture.point_cloud().unwrap().foreground;
     assert!(capture.has_segmentation() && foreground.contains(&true) && foreground.contains(&false));
 
-    // A person may mend a mask; what is there is taken.
+    // A mask that the user edits is kept.
     let mask = std::fs::read(out.join("seg/3/000004.png")).unwrap();
     let again = folder.path().join("again");
     let said = succeed(

@@ -1,4 +1,4 @@
-//! `tcgs prepare` on a folder of videos: what it says, what it leaves, what it skips.
+//! `tcgs prepare` on a folder of videos: its messages, its files, and its skipped steps.
 
 use std::path::Path;
 use std::process::Command;
@@ -48,7 +48,7 @@ fn videos_become_a_capture_that_trains() {
     assert_keys(&result, &[&keys[..], &of_points].concat());
     assert_eq!((result["clock"].as_str(), result["num_frames"].as_u64()), (Some("file"), Some(6)));
 
-    // All cameras show the same moment, which is two frames after the first of the truth.
+    // All cameras show the same moment, two frames after the first of the ground truth.
     let (capture, truth) = (Capture::open(&out).unwrap(), Capture::open(&folder.path().join("truth")).unwrap());
     let found = capture.views(Split::Test, 0, 1).unwrap().remove(0).image.data;
     let error = |frame: usize| {
@@ -59,7 +59,7 @@ fn videos_become_a_capture_that_trains() {
     assert!(errors[2] < 0.02, "wrong colours, or another camera: {errors:?}");
     assert!([0, 1, 3, 4].iter().all(|&other| errors[2] < errors[other]), "the wrong frame: {errors:?}");
 
-    // What is there is not made again; what a person changed stays.
+    // Existing results are not made again; the user's edits stay.
     let description = out.join("capture.toml");
     let mended = std::fs::read_to_string(&description).unwrap().replace("num_frames = 6", "num_frames = 5");
     std::fs::write(&description, &mended).unwrap();
@@ -70,7 +70,7 @@ fn videos_become_a_capture_that_trains() {
     let said = succeed(&prepare[..prepare.len() - 2]);
     assert!(said.contains("points: the capture has some already"), "{said}");
 
-    // Masks are made of no fewer than eight frames; those that others made are taken, all or none.
+    // Masks need at least eight frames. Existing masks are used, all or none.
     let masked = [&prepare[..prepare.len() - 2], &["--masks", "yes"]].concat();
     let message = fail(2, &masked);
     assert!(message.contains("has 5 frames, expected at least 8 to tell what moves"), "{message}");
@@ -143,7 +143,7 @@ fn footage_that_cannot_be_prepared_leaves_nothing() {
     );
     assert_eq!(entries(folder.path()), before);
 
-    // Without the program only H.264 in MP4 is read.
+    // Without ffmpeg only H.264 in MP4 is read.
     std::fs::write(&calibration, given).unwrap();
     let other = source.join("cam3.mp4");
     Command::new("ffmpeg")
@@ -182,7 +182,7 @@ fn bad_recordings_are_named_and_leave_nothing() {
     ffmpeg(&["-f", "lavfi", "-i", "color=black:size=96x72:rate=20:duration=0.4", "-pix_fmt", "yuv420p", text(&spoilt)]);
     refused("cam3.mp4: is black in all frames that were looked at, expected pictures");
 
-    // Cut in a copy, with the table of contents at the end, which is then lost, and at the start, which then promises more.
+    // Truncates a copy. A table of contents at the end is lost; one at the start lists more than the file holds.
     let cut = |options: &[&str]| {
         ffmpeg(&[&["-i", text(&whole), "-c", "copy"], options, &[text(&spoilt)]].concat());
         let bytes = std::fs::read(&spoilt).unwrap();
@@ -193,7 +193,7 @@ fn bad_recordings_are_named_and_leave_nothing() {
     cut(&["-movflags", "+faststart"]);
     refused("cam3.mp4: ");
 
-    // The first three cameras, then two, then one.
+    // First three cameras remain, then two, then one.
     std::fs::rename(&whole, &spoilt).unwrap();
     for id in 2..12 {
         std::fs::remove_file(source.join(format!("cam{id}.mp4"))).unwrap();

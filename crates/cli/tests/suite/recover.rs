@@ -1,4 +1,4 @@
-//! Files that were cut: refused with the advice to recover them, and read for what is whole.
+//! Files that were cut: refused with the advice to recover them, and read as far as they are whole.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ fn scene(folder: &TempDir) -> PathBuf {
     file
 }
 
-/// The only cohort.
+/// The only cohort of a file.
 fn cohort(file: &[u8]) -> Cohort {
     match Archive::open(file, &DecodeLimits::default()).unwrap() {
         Opening::Ready(mut archive) => archive.open_cohort(0, &[]).unwrap(),
@@ -34,7 +34,7 @@ fn cut(file: &Path, length: u64) -> PathBuf {
     path
 }
 
-/// What a command says on standard error about a file that was cut.
+/// The standard error of a command about a file that was cut.
 fn warning(arguments: &[&str]) -> String {
     let output = run(arguments);
     let said = String::from_utf8(output.stderr).unwrap();
@@ -53,7 +53,7 @@ fn what_is_whole_of_a_cut_file_is_read() {
     assert_eq!((cohort.num_segments(), layers), (4, 2));
     succeed(&["export", text(&file), "--to", text(&place("whole"))]);
 
-    // In the fourth segment: three timesteps are whole.
+    // Cut in the fourth segment: three timesteps are whole.
     let three = cut(&file, cohort.segment_range(3, layers).end - 1);
     let message = fail(2, &["export", text(&three), "--to", text(&place("no"))]);
     assert!(
@@ -97,7 +97,7 @@ fn what_is_whole_of_a_cut_file_is_read() {
     let output = run(&["info", text(&file), "--recover"]);
     assert_eq!(String::from_utf8(output.stderr).unwrap(), "");
 
-    // In the second layer of the first segment: its timestep, of the first layer.
+    // Cut in the second layer of the first segment: one timestep with the first layer is left.
     let one = cut(&file, cohort.segment_range(0, layers).end - 1);
     let first_layer = cohort.layers()[0];
     let said = warning(&["export", text(&one), "--recover", "--to", text(&place("one.ply"))]);
@@ -107,13 +107,13 @@ fn what_is_whole_of_a_cut_file_is_read() {
     let whole = read_ply(&place("whole").join(name), ReadSettings::default()).unwrap();
     assert_eq!(left, whole.select(&(0..first_layer as usize).collect::<Vec<_>>()));
 
-    // Before the first layer of the first segment, and in the table of contents: nothing is left.
+    // Cut before the end of the first segment's first layer, and in the table of contents: nothing is left.
     for length in [cohort.segment_range(0, 1).end - 1, 100] {
         let nothing = cut(&file, length);
         let message = fail(2, &["export", text(&nothing), "--recover", "--to", text(&place("no"))]);
         assert!(message.ends_with("the file ends early, expected a whole .tcgs file"), "{message}");
     }
-    // Another damage is not for this option.
+    // The option does not apply to other damage.
     let mut damaged = bytes;
     *damaged.last_mut().unwrap() ^= 1;
     let file = place("damaged.tcgs");

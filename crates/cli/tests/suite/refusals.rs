@@ -1,4 +1,4 @@
-//! What the command refuses: exit code 2 and one line that names the culprit, and nothing is touched.
+//! Refusals of the command: exit code 2, one line that names the culprit, and no change to any file.
 
 use std::fs;
 use std::io::Write;
@@ -8,7 +8,7 @@ use crate::support::*;
 use tcgs_render::gpu::{Gpu, GpuChoice};
 use tempfile::tempdir;
 
-/// Runs what must exit with 2 and say all of `expected`.
+/// Runs a command that must exit with 2 and print all of `expected`.
 fn refuse(arguments: &[&str], expected: &[&str]) {
     let message = fail(2, arguments);
     for part in expected {
@@ -80,7 +80,7 @@ fn what_cannot_compute_is_named() {
     assert!(!out.exists());
 
     let Err(missing) = Gpu::open(GpuChoice::Hardware) else {
-        // Past the capture of passing tests: a skip is to be seen.
+        // Written past the test harness's capture, so that a skip is visible.
         let _ = writeln!(std::io::stderr(), "skipped: how a computer without a GPU is told of, this one has one");
         return;
     };

@@ -1,4 +1,4 @@
-//! Tables of the paper, on a capture so small that nothing is learned: what is run, kept, written and refused.
+//! Tables of the paper, on a capture too small to learn from: what is run, kept, written and refused.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -23,7 +23,7 @@ fn table<'a>(name: &'a str, data: &'a TempDir, out: &'a Path) -> Vec<&'a str> {
     vec!["reproduce", name, "--data", data, "--out", out, "--scenes", "basketball", "--size", "small", TRAINING]
 }
 
-/// When each result below a folder was written.
+/// Modification times of all results below a folder.
 fn results(out: &Path) -> Vec<(PathBuf, SystemTime)> {
     let mut found = Vec::new();
     let mut open = vec![out.to_owned()];
@@ -58,7 +58,7 @@ fn tables_are_made_once_and_only_of_what_was_asked_for() {
         assert!(svg.starts_with("<svg ") && svg.contains("xmlns=") && svg.trim_end().ends_with("</svg>"), "{plot}");
     }
 
-    // Every number says what made it.
+    // Every number names its producer.
     let json = json(&out.join("ablation.json"));
     let rows = json["blocks"][0]["lines"].as_array().unwrap();
     assert_eq!(rows.len(), 8);
@@ -70,7 +70,7 @@ fn tables_are_made_once_and_only_of_what_was_asked_for() {
         let commands: Vec<&str> = source["commands"].as_array().unwrap().iter().map(|c| c.as_str().unwrap()).collect();
         assert!(commands[0].starts_with("tcgs train ") && commands.last().unwrap().starts_with("tcgs eval "));
     }
-    // Masks remove, codes are smaller than floats; keypoints need more timesteps to be fewer than these.
+    // Masks remove Gaussians, and codes are smaller than floats. With so few timesteps keypoints save nothing.
     let value = |row: usize, column: &str| {
         let head = json["blocks"][0]["head"].as_array().unwrap();
         let at = head.iter().position(|name| name == column).unwrap();
@@ -79,7 +79,7 @@ fn tables_are_made_once_and_only_of_what_was_asked_for() {
     assert!(value(2, "storage, MB") < value(1, "storage, MB") && value(1, "storage, MB") < value(0, "storage, MB"));
     assert_eq!(value(2, "Gaussians, k"), value(3, "Gaussians, k"));
 
-    // Done is done; what is missing is done, and nothing else.
+    // Finished runs stay; only a missing run is repeated.
     let before = results(&out);
     assert_eq!(before.len(), 8);
     assert_eq!(succeed(&[&ablation[..], &["--print-commands"]].concat()), "");
@@ -95,7 +95,7 @@ fn tables_are_made_once_and_only_of_what_was_asked_for() {
     let changed: Vec<&PathBuf> = after.iter().zip(&before).filter(|(a, b)| a != b).map(|(a, _)| &a.0).collect();
     assert_eq!(changed, [&lost]);
 
-    // Other arguments are another experiment.
+    // Different arguments are a different experiment.
     let others: Vec<&str> =
         ablation.iter().map(|&a| if a == TRAINING { "--train-args=--frames 0..3" } else { a }).collect();
     let message = fail(2, &others);
@@ -104,7 +104,7 @@ fn tables_are_made_once_and_only_of_what_was_asked_for() {
     }
     assert_eq!(results(&out), after);
 
-    // Other tables take what is there.
+    // Other tables reuse existing runs.
     for (name, expected) in [
         ("selection", "Algorithm 1"),
         ("polynomials", "degree 1"),
@@ -118,7 +118,7 @@ fn tables_are_made_once_and_only_of_what_was_asked_for() {
         assert!(out.join(format!("{name}.html")).is_file());
     }
     let picture = image::open(out.join("pictures-basketball.png")).unwrap();
-    // Ground truth and eight rows, 48 pixels seven times.
+    // Ground truth and eight rows, of 48 pixels enlarged seven times.
     assert_eq!((picture.width(), picture.height()), (9 * 336 + 8 * 4, 3 * 252 + 2 * 4));
     let trained = results(&out).iter().filter(|(path, _)| path.ends_with("masked/selection/result.json")).count();
     assert_eq!(trained, 1);
@@ -155,13 +155,13 @@ fn what_is_missing_or_wrong_is_named() {
     assert_eq!(list.lines().count(), 14);
     assert!(list.contains("ablation      Contributions of masks"), "{list}");
 
-    // A step that is refused says so, and the line above has its reason.
+    // A refused step is reported; the line above has the reason.
     let output = run(&of(&["--scenes", "basketball", "--train-args=--frames 0..99"]));
     assert_eq!(output.status.code(), Some(2));
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(said.contains("has the frames 0..4, found --frames 0..99"), "{said}");
     assert!(said.lines().last().unwrap().contains("wrong input, see the line above"), "{said}");
-    // And it left nothing that stands in the way of the right one.
+    // The refused step leaves no file that would block a correct one.
     let runs: Vec<_> = fs::read_dir(out.join("runs/basketball")).unwrap().map(|run| run.unwrap().path()).collect();
     assert!(!runs.is_empty() && runs.iter().all(|run| !run.join("steps.jsonl").exists()), "{runs:?}");
     refuse(&of(&["--list", "--json", "x.json"]), &["cannot be used with"]);
@@ -179,7 +179,8 @@ fn a_killed_command_goes_on_where_it_was() {
     let mut kills = 0;
     for attempt in 0..100 {
         let mut child = tcgs().args(arguments(&rough)).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
-        // Later and later, so that it ends; the first ones early, since other tests may have slowed down the calm one.
+        // Kills ever later, so that the run finishes. The first kills are early, since other tests may have slowed down
+        // the calm run.
         let end = Instant::now() + duration.mul_f64(0.04 * 1.5_f64.powi(attempt));
         while Instant::now() < end && child.try_wait().unwrap().is_none() {
             std::thread::sleep(Duration::from_millis(5));
@@ -189,7 +190,7 @@ fn a_killed_command_goes_on_where_it_was() {
         }
         child.kill().unwrap();
         child.wait().unwrap();
-        // The step that it had begun is not killed with it, and nobody takes its place before it ends.
+        // The kill does not end the child that runs the step; no other process starts the step before the child ends.
         let run = rough.join("runs/basketball/tc3dgs/train");
         while is_locked(&run) {
             std::thread::sleep(Duration::from_millis(5));
@@ -206,7 +207,7 @@ fn is_locked(run: &Path) -> bool {
     fs::File::open(run).is_ok_and(|folder| matches!(folder.try_lock(), Err(fs::TryLockError::WouldBlock)))
 }
 
-// The script is of bash.
+// The script needs bash.
 #[cfg(unix)]
 #[test]
 fn schedulers_can_run_it() {
@@ -226,7 +227,7 @@ fn schedulers_can_run_it() {
         let mut command = Command::new("bash");
         command.arg(&script).arg(&file).env("SLURM_ARRAY_TASK_ID", index.to_string()).output().unwrap()
     };
-    // Out of order, and one of them twice.
+    // Out of order, and one of the commands twice.
     for index in [6, 1, 3, 2, 5, 4, 3] {
         let output = task(index);
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -244,7 +245,7 @@ fn schedulers_can_run_it() {
     }
     let parallel = folder.path().join("parallel");
     let commands = succeed(&[&table("ablation", &data, &parallel)[..], &["--print-commands"]].concat());
-    // Every command twice at the same time: the second waits and finds it done.
+    // Each command runs twice at the same time: the second waits and finds the run finished.
     let twice: String = commands.lines().map(|line| format!("{line}\n{line}\n")).collect();
     fs::write(&file, twice).unwrap();
     let status = Command::new("parallel").args(["-j", "4", "-a"]).arg(&file).stderr(Stdio::null()).status().unwrap();
@@ -253,7 +254,7 @@ fn schedulers_can_run_it() {
     assert_eq!(first_cells(&succeed(&table("ablation", &data, &parallel))), first_cells(&expected));
 }
 
-/// Labels and qualities of the first block: what does not depend on time.
+/// Labels and qualities of the first block: cells that do not depend on time.
 fn first_cells(text: &str) -> Vec<String> {
     let rows = text.lines().skip(4).take(8);
     rows.map(|line| line.split_whitespace().take(7).collect::<Vec<_>>().join(" ")).collect()

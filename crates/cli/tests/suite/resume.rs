@@ -1,4 +1,4 @@
-//! Runs that are stopped, cut short by a full disk, or lengthened: what is there stays right.
+//! Runs that are stopped, cut short by a full disk, or lengthened: their files stay correct.
 
 use std::fs;
 use std::path::Path;
@@ -12,12 +12,12 @@ use std::time::Instant;
 use crate::support::*;
 use tempfile::tempdir;
 
-/// Arguments of the run that is disturbed: many checkpoints for little work.
+/// Arguments of the disturbed run: many checkpoints for little work.
 fn arguments(out: &Path) -> [&str; 7] {
     ["train", text(capture()), "--out", text(out), "--iterations", "40,12", "--resume"]
 }
 
-/// What a run tells of itself that does not depend on how long it took.
+/// The metrics of a run without times.
 fn without_times(run: &Path) -> Vec<serde_json::Value> {
     let metrics = fs::read_to_string(run.join("metrics.jsonl")).unwrap();
     let parse = |line: &str| -> serde_json::Value {
@@ -28,7 +28,7 @@ fn without_times(run: &Path) -> Vec<serde_json::Value> {
     metrics.lines().map(parse).collect()
 }
 
-/// Whether a checkpoint is being written, or was when its process was stopped.
+/// Whether a checkpoint is being written, or was when its process was killed.
 fn is_writing(run: &Path) -> bool {
     let Ok(entries) = fs::read_dir(run.join("checkpoints")) else { return false };
     entries.flatten().any(|entry| entry.file_name().to_string_lossy().starts_with(".writing-"))
@@ -53,12 +53,12 @@ fn a_run_killed_at_any_moment_ends_as_if_it_had_not_been() {
             assert!(attempt < 200, "the run does not get on");
             let mut child = tcgs().args(arguments(&run)).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
             if round % 2 == 0 {
-                // Moments spread evenly over the run, differently in every round (golden ratio).
+                // Moments spread evenly over the run, different in every round (golden ratio).
                 let share = (f64::from(round * 37 + attempt) * 0.618_034).fract();
                 std::thread::sleep(duration.mul_f64(0.02 + 0.8 * share));
             } else {
-                // While the second checkpoint of this attempt is being written, if it is seen in time.
-                // What the attempt before left behind is not counted.
+                // Waits until the second checkpoint of this attempt is being written, unless that is missed. A
+                // checkpoint that the last attempt left unfinished does not count.
                 let (mut seen, mut writing) = (0, true);
                 while seen < 2 && child.try_wait().unwrap().is_none() {
                     let before = std::mem::replace(&mut writing, is_writing(&run));
@@ -143,7 +143,7 @@ fn ctrl_c_leaves_nothing_half_written() {
     let (frames, plys) = (folder.path().join("frames"), folder.path().join("plys"));
     let (file, prepared) = (folder.path().join("small.tcgs"), folder.path().join("prepared"));
     let commands: [&[&str]; 4] = [
-        // Pictures of this size take longer than the test waits.
+        // Rendering pictures of this size takes longer than the test waits.
         &["render", text(&run), "--out", text(&frames), "--size", "4000x3000"],
         &["render", text(&run), "--out", text(&plys), "--size", "4000x3000", "--path", "spiral"],
         &["compress", text(&run), "--out", text(&file), "--target-psnr", "30"],
@@ -158,7 +158,7 @@ fn ctrl_c_leaves_nothing_half_written() {
             continue;
         }
         let message = String::from_utf8(output.stderr).unwrap();
-        // Before the signal is caught, it ends the process.
+        // The signal ends the process if it is not caught yet.
         assert!(matches!(output.status.code(), Some(130) | None), "{arguments:?}: {}: {message}", output.status);
         let mut left: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
         left.retain(|name| ![&file, &prepared].iter().any(|whole| whole.ends_with(name)));
@@ -166,7 +166,7 @@ fn ctrl_c_leaves_nothing_half_written() {
     }
 }
 
-/// Commands that write at their end only, or through other commands.
+/// Commands that write only at their end, or through child processes.
 #[cfg(unix)]
 #[test]
 fn ctrl_c_ends_other_commands_at_once() {
@@ -181,8 +181,8 @@ fn ctrl_c_ends_other_commands_at_once() {
     let reproduce =
         [&reproduce[..], &["--backend", "cpu", "--train-args", "--iterations 100000,1 --frames 0..4"]].concat();
     for arguments in [bench, &reproduce] {
-        // As in a terminal: the signal goes to the process and to all that it started.
-        // Where this test runs in the background, programs that it starts would ignore the signal.
+        // As in a terminal, the signal goes to the process and to all its children. If this test runs in the
+        // background, child processes would ignore the signal.
         let mut command = Command::new("env");
         command.args(["--default-signal=INT", env!("CARGO_BIN_EXE_tcgs")]);
         command.args(arguments).process_group(0).stdout(Stdio::null()).stderr(Stdio::null());
@@ -200,7 +200,7 @@ fn ctrl_c_ends_other_commands_at_once() {
         assert!(signalled.elapsed() < Duration::from_secs(5), "{arguments:?}");
     }
     assert!(!json.exists());
-    // The training that was under way ends as by its own Ctrl-C, and what it had locked is free.
+    // The training child ends as after its own Ctrl-C, and its lock is released.
     let signalled = Instant::now();
     while fs::File::open(&train).unwrap().try_lock().is_err() {
         assert!(signalled.elapsed() < Duration::from_secs(60), "training goes on");
@@ -224,7 +224,7 @@ fn a_damaged_last_checkpoint_is_set_aside() {
     assert_eq!(fs::read(&last).unwrap(), expected[3].1);
     assert!(!run.join("checkpoints/.writing-abc").exists());
 
-    // The last one's state of the optimizer is as bad, while that of the one before is there.
+    // The optimizer's state of the last timestep is damaged, too; that of the timestep before is intact.
     let states = ["resume0.npz", "resume1.npz"].map(|name| run.join(name));
     fs::write(&states[1], b"PK").unwrap();
     let output = tcgs().args(arguments(&run)).output().unwrap();
@@ -232,7 +232,7 @@ fn a_damaged_last_checkpoint_is_set_aside() {
     assert!(String::from_utf8(output.stderr).unwrap().contains("resume1.npz: not a checkpoint"), "it says so");
     let is_whole = |(name, _): &(String, Vec<u8>)| !name.ends_with(".damaged");
     assert!(checkpoints(&run).into_iter().filter(is_whole).eq(expected.iter().cloned()));
-    // Without either it is not known how to go on, and no timestep is given up for that.
+    // Without either state the run cannot continue, and no timestep is discarded.
     let saved = states.each_ref().map(|path| fs::read(path).unwrap());
     states.iter().for_each(|path| fs::remove_file(path).unwrap());
     let more = [&arguments(&run)[..], &["--frames", "0..4"]].concat();
@@ -240,7 +240,7 @@ fn a_damaged_last_checkpoint_is_set_aside() {
     assert!(checkpoints(&run).into_iter().filter(is_whole).eq(expected.iter().cloned()));
     states.iter().zip(saved).for_each(|(path, bytes)| fs::write(path, bytes).unwrap());
 
-    // In the middle, nobody knows what the later ones built on.
+    // A damaged checkpoint in the middle is an error: later timesteps depend on it.
     fs::write(run.join("checkpoints/000000.npz"), b"PK").unwrap();
     let message = fail(2, &arguments(&run));
     assert!(message.contains("000000.npz"), "{message}");
@@ -276,7 +276,7 @@ fn a_run_can_be_lengthened_and_nothing_else() {
     assert!(timesteps.iter().all(|t| t["psnr"].is_f64() && t["seconds"].is_f64()));
 }
 
-/// Runs a command whose files may not grow beyond some kilobytes, and returns exit code and message.
+/// Runs a command whose files may not grow beyond a limit in kilobytes; returns exit code and message.
 #[cfg(unix)]
 fn with_file_limit(kilobytes: u32, arguments: &[&str]) -> (Option<i32>, String) {
     let script = format!("ulimit -f {kilobytes}; exec \"$@\"");
@@ -334,14 +334,14 @@ fn a_full_disk_ends_a_run_whose_checkpoints_stay_right() {
     let calm = folder.path().join("calm");
     succeed(&arguments(&calm));
     let expected = checkpoints(&calm);
-    // Room for the first two checkpoints and a half.
+    // The limit has space for two and a half checkpoints.
     let sizes: Vec<usize> = expected.iter().map(|(_, file)| file.len()).collect();
     let room = (sizes[0] + sizes[1] + sizes[2] / 2) / 4096 * 4096 + 5 * 4096;
     let disk = tempdir().unwrap();
     let options = format!("size={room}");
     let mount = Command::new("mount").args(["-t", "tmpfs", "-o", &options, "tmpfs"]).arg(disk.path()).output();
     if !mount.is_ok_and(|mount| mount.status.success()) {
-        // Past the capture of passing tests: a skip is to be seen.
+        // Written past the test harness's capture, so that a skip is visible.
         let _ = writeln!(std::io::stderr(), "skipped: mounting a small disk needs rights that this process lacks");
         return;
     }

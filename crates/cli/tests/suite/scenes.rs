@@ -87,7 +87,7 @@ fn info_tells_the_basics_of_runs_and_what_comes_of_them() {
         .map(|p| p.metadata().unwrap().len())
         .sum();
     assert!(of_run["bytes"].as_u64().unwrap() <= bytes && of_run["bytes"].as_u64() > Some(0), "{of_run} {bytes}");
-    // Masks may leave out some of a run.
+    // Masks may prune some Gaussians of a run.
     let [of_params, of_plys] = ["params.npz", "plys"].map(|name| info(&path(name)).1);
     for same in ["num_timesteps", "first_frame", "sh_degree"] {
         assert_eq!((&of_params[same], &of_plys[same]), (&of_run[same], &of_run[same]), "{same}");
@@ -100,7 +100,7 @@ fn info_tells_the_basics_of_runs_and_what_comes_of_them() {
     let files = fs::read_dir(path("plys")).unwrap().map(|entry| entry.unwrap().metadata().unwrap().len());
     assert_eq!(info(&path("plys")).1["bytes"], files.sum::<u64>());
 
-    // A .tcgs file has fields of these names, too.
+    // The JSON of a .tcgs file has fields of the same names.
     succeed(&["compress", text(&run)]);
     let (said, of_file) = info(&run.join("scene.tcgs"));
     assert!(said.contains("bounds        "), "{said}");
@@ -213,7 +213,7 @@ fn the_output_folder_of_a_training_is_a_scene() {
     succeed(&["verify", text(&path("garden.tcgs")), text(&garden)]);
     succeed(&["eval", text(&garden), "--capture", text(capture())]);
 
-    // Frames, each trained on its own, are no iterations.
+    // Frames that are trained separately are not iterations.
     fs::create_dir_all(path("frames_of/frame_0")).unwrap();
     fs::rename(path("garden/point_cloud"), path("frames_of/frame_0/point_cloud")).unwrap();
     let message = fail(2, &["info", text(&path("frames_of"))]);

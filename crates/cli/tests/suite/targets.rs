@@ -1,4 +1,4 @@
-//! Files of a size or a quality that was asked for, and what else is put into them.
+//! Files of a requested size or quality, and optional data in them.
 
 use std::fs;
 
@@ -10,7 +10,7 @@ fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("{value}, expected a number"))
 }
 
-/// The length that a command names which was asked for 300 bytes.
+/// The smallest length that a command names when it is asked for 300 bytes.
 fn least_bytes(message: &str) -> u64 {
     assert!(message.contains("--target-bytes 300: the smallest file is"), "{message}");
     message.split_whitespace().find_map(|word| word.parse().ok().filter(|&n| n > 300)).unwrap()
@@ -31,7 +31,7 @@ fn a_target_is_kept_and_its_setting_gives_the_same_file() {
     let (_, plain, default) = compress(&["--refine", "off"]);
     assert!(plain.get("target").is_none());
 
-    // Between the smallest file that there is and the one of the default quality.
+    // Between the smallest possible file and that of the default quality.
     let least =
         least_bytes(&fail(2, &["compress", text(&run), "--out", text(&file), "--force", "--target-bytes", "300"]));
     let wanted = (least + default) / 2;
@@ -43,11 +43,11 @@ fn a_target_is_kept_and_its_setting_gives_the_same_file() {
     assert!(said.contains(&format!("against 4 images of {capture}, 4 frames")), "{said}");
     let steps = target["steps"].as_array().unwrap();
     assert!(steps.len() >= 2 && said.lines().filter(|line| line.contains("kB") && line.contains("  -")).count() > 0);
-    // What it says is what eval measures.
+    // The reported PSNR equals that of eval.
     let measured = path("eval.json");
     succeed(&["eval", text(&file), "--capture", capture, "--json", text(&measured)]);
     assert!((number(&json(&measured)["psnr"]) - number(&target["psnr"])).abs() < 1e-6);
-    // And the quality alone gives the same bytes.
+    // The reported quality alone gives the same bytes.
     let before = fs::read(&file).unwrap();
     compress(&["--quality", &target["quality"].to_string(), "--capture", capture, "--refine", "off"]);
     assert!(fs::read(&file).unwrap() == before, "other bytes for quality {}", target["quality"]);
@@ -80,12 +80,12 @@ fn tuning_saves_bytes_at_the_same_psnr() {
     assert!(number(&tuning["bytes"]) < 0.99 * number(&tuning["bytes_before"]), "{said}");
     assert!(said.contains("tolerance of positions ") && said.contains("\ntuned: "), "{said}");
     assert!(tuning["steps"].as_array().unwrap().iter().any(|step| !step["saved"].is_null()), "{said}");
-    // On the training cameras, as eval measures them.
+    // Measured on the training cameras, like eval.
     let measured = folder.path().join("eval.json");
     succeed(&["eval", text(&file), "--capture", text(capture()), "--cameras", "train", "--json", text(&measured)]);
     assert!((number(&json(&measured)["psnr"]) - number(&tuning["psnr"])).abs() < 1e-6);
 
-    // With a target it is kept, by renders of the source where there is no capture.
+    // Tuning keeps a target, measured against renders of the source if there is no capture.
     let (said, tuning) = tune(&["--target-psnr", "30", "--frames", "1..2"]);
     assert!(number(&tuning["psnr"]) >= 30.0 && tuning["target_psnr"] == 30.0, "{said}");
     assert!(tuning["measured_against"] == "source" && said.contains(" renders of "), "{said}");
@@ -109,7 +109,7 @@ fn what_is_out_of_reach_leaves_nothing() {
     let message = compress(&["--target-psnr", "99", "--capture", text(capture())]);
     assert!(message.contains("--target-psnr 99: the best against 4 images of"), "{message}");
     assert!(!out.exists() && fs::read_dir(folder.path()).unwrap().count() == 1);
-    // What it named can be reached.
+    // The named length can be reached.
     succeed(&["compress", text(&run), "--out", text(&out), "--target-bytes", &least.to_string()]);
     assert!(fs::metadata(&out).unwrap().len() <= least);
 }
@@ -120,7 +120,7 @@ fn a_file_says_which_way_is_up_and_where_cameras_stood() {
     let run = train(&folder, "run", &[]);
     let out = folder.path().join("a.tcgs");
     let data = |more: &[&str]| {
-        // Refining would add how bright the timesteps are.
+        // Refining would add application data: the light over time.
         succeed(&[&["compress", text(&run), "--out", text(&out), "--force", "--refine", "off"], more].concat());
         let bytes = fs::read(&out).unwrap();
         let data = tcgs_codec::application_data(&bytes, &tcgs_codec::DecodeLimits::default()).unwrap();
@@ -136,7 +136,7 @@ fn a_file_says_which_way_is_up_and_where_cameras_stood() {
     assert_eq!((&name[..], views.len()), ("tcgs.views", 3));
     let capture = tcgs_capture::Capture::open(capture()).unwrap();
     let cameras = capture.cameras(tcgs_capture::Split::Train, 0, 1).unwrap();
-    // The first is where a player begins; the others follow as the capture has them.
+    // A player starts with the first camera; the others follow in the capture's order.
     let place =
         |view: &Value| cameras.iter().position(|(id, _)| view["name"].as_str() == Some(&id.to_string())).unwrap();
     let places: Vec<usize> = views.iter().map(place).collect();
@@ -187,7 +187,8 @@ fn refining_comes_closer_to_the_images_and_repeats() {
     };
     let (said, result, plain) = compress("plain", &["--refine", "off"]);
     assert!(!said.contains("refined") && result.get("refined").is_none(), "{said}");
-    // By itself, as its training says: 30 iterations of the first timestep, and 2/15 of 10 of each of four.
+    // Refines by default, in proportion to the training: 30 iterations of the first timestep, and 2/15 of 10 of each of
+    // four.
     let (said, result, usual) = compress("usual", &["--backend", "cpu"]);
     assert_eq!(result["refined"]["iterations"], 30 + 6, "{said}");
     assert!(psnr(&usual) > psnr(&plain), "{} from {}", psnr(&usual), psnr(&plain));
@@ -196,7 +197,7 @@ fn refining_comes_closer_to_the_images_and_repeats() {
     assert_eq!(result["refined"]["iterations"], 480);
     assert!(number(&result["refined"]["loss_after"]) < number(&result["refined"]["loss_before"]));
     assert!(psnr(&refined) > psnr(&plain) + 0.5, "{} from {}", psnr(&refined), psnr(&plain));
-    // What it declares is measured against the floats, from which it moved away.
+    // Declared errors are those against the floats, from which refinement moves away.
     let report = path("verify.json");
     succeed(&["verify", text(&refined), text(&run), "--json", text(&report)]);
 
@@ -205,7 +206,7 @@ fn refining_comes_closer_to_the_images_and_repeats() {
     let (_, _, again) = compress("again", &["--refine", &iterations, "--backend", "cpu"]);
     assert!(fs::read(timed).unwrap() == fs::read(again).unwrap(), "other bytes in {iterations} iterations");
 
-    // Refined, a file still keeps a target.
+    // A refined file still keeps a target.
     let most = fs::metadata(&refined).unwrap().len() * 19 / 20;
     let (said, result, small) =
         compress("small", &["--refine", "100", "--target-bytes", &most.to_string(), "--backend", "cpu"]);
@@ -214,7 +215,7 @@ fn refining_comes_closer_to_the_images_and_repeats() {
     assert_eq!((&result["refined"]["iterations"], &result["target"]["target_bytes"]), (&100.into(), &most.into()));
 
     let of_capture = ["--capture", text(capture()), "--cameras", "train", "--refine", "240", "--backend", "cpu"];
-    // The target is searched for before refinement.
+    // The search for the target precedes refinement.
     let wanted = psnr(&plain) - 0.3;
     let target = format!("{wanted:.3}");
     let (said, result, small) = compress("as-good", &[&of_capture[..], &["--target-psnr", &target]].concat());
@@ -224,7 +225,7 @@ fn refining_comes_closer_to_the_images_and_repeats() {
     let message = fail(2, &[&["compress", text(&run), "--target-psnr", "90"], &of_capture[..]].concat());
     assert!(message.contains("--target-psnr 90: the best against"), "{message}");
 
-    // What is tuned is refined.
+    // A tuned file is refined.
     let out = path("tuned.tcgs");
     let found = path("tuned.json");
     let tuned = ["compress", text(&run), "--tune", "--out", text(&out), "--json", text(&found)];

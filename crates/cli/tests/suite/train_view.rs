@@ -1,4 +1,4 @@
-//! A training that is watched, as a program and a browser see it.
+//! A training with `--view`, from the view of a program and of a browser.
 
 use std::fs;
 use std::io::Read;
@@ -12,7 +12,7 @@ use serde_json::Value;
 use tcgs_codec::{DecodeLimits, SceneFile};
 use tempfile::tempdir;
 
-/// Long enough to be watched, and all that is trained otherwise: masks, quantisation, the gate and births.
+/// Long enough to be watched, with all parts of the training: masks, quantisation, the gate and births.
 const LONG: [&str; 6] = ["--preset", "fast", "--iterations", "1500,400", "--backend", "cpu"];
 
 /// Number of Gaussians and timesteps of a file.
@@ -61,7 +61,8 @@ fn a_training_is_watched_and_its_bits_stay_the_same() {
         (most_loss, most_psnr) = (most_loss.max(points("loss")), most_psnr.max(points("psnr")));
         let (head, body) = ask(port, "/finished.tcgs", "");
         if head.starts_with("HTTP/1.1 200 ") {
-            // Told after the file was asked for: what is trained meanwhile, the last timestep too, may be in either.
+            // The state is read after the file was requested, so it may include timesteps trained in between, even the
+            // last.
             let Some(state) = self::state(port) else { continue };
             let (in_file, told) = (size(&body)[1], state["timesteps"]["psnr"].as_array().unwrap().len());
             assert!((1..=told).contains(&in_file), "{in_file} of {told} finished timesteps");
@@ -73,7 +74,7 @@ fn a_training_is_watched_and_its_bits_stay_the_same() {
     assert!(!files.is_empty() && tags.len() == files.len(), "each is another: {files:?}");
     assert!(most_loss > 50 && most_psnr > 0, "{most_loss} points of loss, {most_psnr} of PSNR");
 
-    // What is left is the whole run, until nobody asks or Ctrl-C.
+    // After the training the server shows the whole run until no page asks, or until Ctrl-C.
     let whole = ask(port, "/finished.tcgs", "").1;
     assert_eq!(size(&whole)[1], 4);
     let psnr: Vec<f64> = serde_json::from_value(last["timesteps"]["psnr"].clone()).unwrap();

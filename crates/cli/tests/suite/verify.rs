@@ -1,4 +1,4 @@
-//! Errors that files declare: written, shown, bounded, and verified against what was compressed.
+//! Declared errors of files: written, shown, bounded, and verified against the compressed scene.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -10,14 +10,14 @@ use tcgs_core::{Gaussians, Layout};
 use tcgs_interchange::write_ply_to;
 use tempfile::{TempDir, tempdir};
 
-/// A number in [0, 1) that looks random.
+/// A pseudo-random number in [0, 1).
 fn random(i: usize) -> f32 {
     let mut z = (i as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     ((z ^ z >> 27) >> 40) as f32 / (1 << 24) as f32
 }
 
-/// Some Gaussians of a made scene, which keep their place or move, and shine or not.
+/// Some Gaussians of a synthetic scene, which stand or move, and have harmonics or not.
 fn made(ids: impl IntoIterator<Item = usize>, timestep: usize, degree: usize) -> Gaussians {
     let layout = Layout::with_harmonics(degree);
     let one = |id: usize| {
@@ -48,13 +48,13 @@ fn write(folder: &Path, scene: &[Gaussians]) -> PathBuf {
     folder.into()
 }
 
-/// PLY files of a scene whose number does not change.
+/// PLY files of a scene with a constant number of Gaussians.
 fn constant(folder: &TempDir, num_timesteps: usize, degree: usize) -> PathBuf {
     let scene: Vec<Gaussians> = (0..num_timesteps).map(|t| made(0..200, t, degree)).collect();
     write(&folder.path().join("constant"), &scene)
 }
 
-/// Compresses, and returns what was said and the result.
+/// Compresses; returns the output and the result.
 fn compress(source: &Path, out: &Path, more: &[&str]) -> (String, Value) {
     let result = out.with_extension("json");
     let arguments = ["compress", text(source), "--out", text(out), "--json", text(&result), "--force"];
@@ -62,7 +62,7 @@ fn compress(source: &Path, out: &Path, more: &[&str]) -> (String, Value) {
     (said, json(&result))
 }
 
-/// Verifies what must hold, and returns what was said and the result.
+/// Verifies a file that must pass; returns the output and the result.
 fn verify(file: &Path, sources: &[&Path]) -> (String, Value) {
     let result = file.with_extension("verify.json");
     let mut arguments = vec!["verify", text(file)];
@@ -71,7 +71,7 @@ fn verify(file: &Path, sources: &[&Path]) -> (String, Value) {
     (succeed(&arguments), json(&result))
 }
 
-/// The same file with other content.
+/// The same file with changed content.
 fn forge(file: &Path, name: &str, change: impl FnOnce(&mut CompactFile)) -> PathBuf {
     let mut compact = CompactFile::decode(&fs::read(file).unwrap(), &DecodeLimits::default()).unwrap();
     change(&mut compact);
@@ -84,7 +84,7 @@ fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("{value}, expected a number"))
 }
 
-/// Asserts that each error that was found is as large as the one declared, but for its rounding.
+/// Asserts that each measured error equals the declared one up to rounding.
 fn assert_tight(result: &Value) {
     for (name, error) in result["errors"].as_object().unwrap() {
         let (declared, found) = (number(&error["declared"]), number(&error["found"]));
@@ -116,7 +116,7 @@ fn a_scene_with_harmonics_is_as_its_file_declares() {
         (&true.into(), &1200.into(), &0.into())
     );
 
-    // The file is a source, too, and differs from itself by nothing.
+    // A file can be the source, too, and has no error against itself.
     let (_, compared) = verify(&file, &[&file]);
     assert!(compared["errors"].as_object().unwrap().values().all(|error| number(&error["found"]) == 0.0));
 }
@@ -133,7 +133,8 @@ fn gaussians_that_come_go_and_change_their_order_are_found() {
     let count: usize = scene.iter().map(Gaussians::num_gaussians).sum();
     assert_eq!((&compared["num_compared"], &compared["num_pruned"]), (&count.into(), &serde_json::json!([0, 0])));
 
-    // More Gaussians than there are in a source: what has no partner is an error; what the file lacks is not.
+    // The file has more Gaussians than a source. A Gaussian without a partner in the source is an error; one missing
+    // from the file is not.
     let fewer: Vec<Gaussians> = (0..5).map(|t| made(ids(t).into_iter().skip(2), t, 1)).collect();
     let fewer = write(&folder.path().join("fewer"), &fewer);
     let message = fail(1, &["verify", text(&file), text(&fewer)]);
@@ -159,7 +160,7 @@ fn a_run_is_verified_with_what_its_masks_prune() {
         serde_json::json!([before as usize - after as usize, before as usize - after as usize])
     );
 
-    // Version 1 declares nothing, and says so.
+    // A file of version 1 declares no errors, and is reported as such.
     compress(&run, &file, &["--format", "1"]);
     let (said, alone) = verify(&file, &[]);
     assert!(said.ends_with("declares no errors\n") && alone["declared_errors"] == serde_json::json!({}), "{said}");
@@ -194,7 +195,7 @@ fn what_is_forged_or_damaged_is_caught() {
     let forged = forge(&file, "silent.tcgs", |compact| drop(compact.declared_errors.remove(1)));
     let message = fail(1, &["verify", text(&forged), text(&plys)]);
     assert!(message.contains("declares no error of rotation, expected"), "{message}");
-    // A Gaussian that is not where it was, and no error that says so.
+    // A Gaussian has moved, and the declared errors do not cover it.
     let forged = forge(&file, "moved.tcgs", |compact| {
         let cohort = &mut compact.cohorts[0];
         cohort.quantizers.attributes[0].values_mut().for_each(|channels| channels[1].offset += 0.2);
@@ -249,13 +250,13 @@ fn errors_are_kept_within_bounds() {
     assert!((2..=6).contains(&steps) && said.contains(&format!("within the bounds; {steps} settings tried")), "{said}");
     assert_tight(&verify(&file, &[&plys]).1);
 
-    // What is met already changes nothing.
+    // Bounds that are already met change nothing.
     let plain = folder.path().join("plain.tcgs");
     let (_, result) = compress(&plys, &plain, &[]);
     let (_, loose) = compress(&plys, &file, &["--max-error", "mean=0.5"]);
     assert_eq!(loose["declared_errors"], result["declared_errors"]);
     assert!(fs::read(&plain).unwrap() == fs::read(&file).unwrap());
-    // A scene that version 1 holds is written in version 2.
+    // A scene that fits into version 1 is written in version 2.
     let base = write(&folder.path().join("base"), &[made(0..50, 0, 0), made(0..50, 1, 0)]);
     compress(&base, &file, &["--max-error", "color=0.003"]);
     assert!(number(&verify(&file, &[&base]).1["declared_errors"]["colors"]) <= 0.003);
@@ -282,6 +283,6 @@ fn bounds_out_of_reach_are_named_with_what_was_reached() {
         assert!(refuse(2, &[&["--max-error"], &wrong[..]].concat()).contains("cannot be used with"));
     }
     assert!(refuse(2, &["--max-error", "means"]).contains("expected ATTRIBUTE=ERROR"));
-    // What it named can be reached.
+    // The named error can be reached.
     compress(&plys, &file, &["--max-error", &format!("mean={smallest}")]);
 }

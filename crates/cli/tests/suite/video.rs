@@ -1,4 +1,4 @@
-//! Videos of a scene, by the program `ffmpeg` or what stands in for it.
+//! Videos of a scene, by the program `ffmpeg` or a substitute.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -20,7 +20,7 @@ fn run_with_path(path: &Path, arguments: &[&str]) -> Output {
     tcgs().env("PATH", path).args(arguments).output().unwrap()
 }
 
-/// A program called `ffmpeg`.
+/// Writes a substitute program named `ffmpeg`.
 fn stand_in(folder: &Path, script: &str) {
     let program = folder.join("ffmpeg");
     fs::write(&program, format!("#!/bin/sh\n[ \"$1\" = -version ] && exit\n{script}\n")).unwrap();
@@ -42,7 +42,7 @@ fn pictures_go_to_ffmpeg_and_errors_come_back() {
     let complaint = "tcgs: ffmpeg: No such file or directory (os error 2), expected it on the PATH";
     assert!(message.starts_with(complaint) && message.lines().count() == 1, "{message}");
 
-    // It keeps what it is given: the last argument is the file to write.
+    // It stores its input: the last argument is the file to write.
     let keep = "for last; do :; done\necho \"$@\" > ARGUMENTS\n/bin/cat > \"$last\"";
     stand_in(&bin, &keep.replace("ARGUMENTS", text(&bin.join("arguments.txt"))));
     assert!(run_with_path(&bin, &render).status.success());

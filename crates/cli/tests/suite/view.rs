@@ -1,4 +1,4 @@
-//! The server of the player, as a program and a browser see it.
+//! The server of the player, from the view of a program and of a browser.
 
 use std::fs;
 use std::io::{self, Read};
@@ -17,7 +17,7 @@ fn what_is_no_tcgs_file_is_refused_by_name() {
     succeed(&["export", text(&run), "--to", text(&params)]);
     let cut = folder.path().join("cut.tcgs");
     fs::write(&cut, b"TCGS").unwrap();
-    // In the words of the system.
+    // In the operating system's words.
     let absent = format!("nowhere.tcgs: {}", io::Error::from_raw_os_error(2));
     let cases = [
         (text(&run), "run: is a folder of no capture"),
@@ -112,7 +112,7 @@ fn one_line_names_the_address_and_the_scene_lies_there() {
     let (head, body) = ask(port, "/", "");
     let page = String::from_utf8(body).unwrap();
     assert!(head.contains("text/html") && page.contains(r#"<meta name="tcgs-src" content="/scene.tcgs">"#), "{page}");
-    // Whatever the page names lies beside it.
+    // Every file that the page names is served.
     for part in page.split(['"', '\'']).filter(|part| part.ends_with(".js") || part.ends_with(".css")) {
         let (head, _) = ask(port, &format!("/{}", part.trim_start_matches("./")), "");
         assert!(head.starts_with("HTTP/1.1 200 "), "{part}: {head}");

@@ -1,5 +1,5 @@
-//! The start of a file: what it holds, and where its cohorts lie. Input is the caller's: this module takes bytes, and
-//! names the ranges that it needs.
+//! The start of a file: a description of the scene, and the positions of its cohorts. The caller does the input: this
+//! module takes bytes, and names the ranges that it needs.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -16,21 +16,21 @@ use crate::limits::{Budget, DecodeLimits};
 /// Result of [`Archive::open`].
 #[derive(Debug)]
 pub enum Opening {
-    /// The bytes end before what describes the file does: [`Archive::open`] needs at least this many bytes from the
-    /// start of the file.
+    /// More bytes are needed: the description of the file ends after those given. [`Archive::open`] needs at least this
+    /// many bytes from the start of the file.
     More(u64),
     /// The archive is open.
     Ready(Box<Archive>),
 }
 
-/// What the start of a file says: the scene, and where its cohorts lie.
+/// The start of a file: a description of the scene, and the positions of its cohorts.
 ///
-/// A *cohort* is a set of Gaussians that are described together and live within one span of timesteps. A file of version 1
-/// has one cohort of all timesteps. A caller fetches ranges of bytes, for example with HTTP range requests:
+/// A *cohort* is a set of Gaussians that are described together and live within one span of timesteps. A file of
+/// version 1 has one cohort of all timesteps. A caller fetches ranges of bytes, for example with HTTP range requests:
 ///
 /// 1. the start of the file, for [`Self::open`]
 /// 2. [`Self::head_range`] of the cohorts that live at a timestep ([`Self::cohorts_at`]), for [`Self::open_cohort`]
-/// 3. what a [`Cohort`] asks for
+/// 3. the ranges that a [`Cohort`] names
 ///
 /// ```
 /// use tcgs_codec::{Archive, BitMap, CompressSettings, DecodeLimits, Opening, SceneInfo, compress, encode};
@@ -57,7 +57,7 @@ pub enum Opening {
 pub struct Archive {
     version: u16,
     info: Arc<Info>,
-    /// Bytes of the whole file.
+    /// Length of the whole file, bytes.
     length: u64,
     /// Sections of the table of contents, in the order of the file.
     entries: Vec<Entry>,
@@ -65,30 +65,30 @@ pub struct Archive {
     limits: DecodeLimits,
 }
 
-/// Where the cohorts of a file lie.
+/// Positions of the cohorts of a file.
 #[derive(Debug)]
 enum Cohorts {
-    /// The only cohort of a file of version 1, opened.
+    /// The only cohort of a file of version 1, already open.
     One(Box<Cohort>),
-    /// Those of a file of version 2, by ascending start, and the plans that were read so far.
+    /// The cohorts of a file of version 2, by ascending start, and the plans read so far.
     Many(Vec<Place>, Vec<Option<Arc<Plan>>>),
 }
 
-/// Where a cohort lies: an entry of the section `COHO`.
+/// Position of a cohort: an entry of the section `COHO`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Place {
-    /// First timestep of the scene at which it lives.
+    /// First timestep of the scene at which the cohort lives.
     pub(super) start: u32,
     pub(super) num_timesteps: u32,
     pub(super) num_gaussians: u32,
-    /// The cohort whose plan it uses, itself or one before.
+    /// Index of the cohort whose plan this one uses: its own or an earlier one.
     pub(super) plan: u32,
-    /// Bytes of its head, and their checksum.
+    /// Length of the head in bytes; its checksum follows.
     pub(super) head_bytes: u32,
     pub(super) head_checksum: u32,
-    /// Bytes of its shared layers, which follow the head.
+    /// Length of the shared layers in bytes; they follow the head.
     pub(super) shared_bytes: u32,
-    /// Where the head lies in the file.
+    /// Offset of the head in the file.
     pub(super) offset: u64,
 }
 
@@ -103,10 +103,10 @@ impl Place {
 }
 
 impl Archive {
-    /// Opens a file from its first bytes: the header, and what describes the whole scene.
+    /// Opens a file from its first bytes: the header, and the description of the whole scene.
     ///
     /// - `start`: any number of bytes from the start of the file; 16 KiB usually suffice
-    /// - `limits`: bounds on memory and counts, also for all that is read later
+    /// - `limits`: bounds on memory and counts, also for all later reads
     ///
     /// # Errors
     /// - [`DecodeError::Format`] if `start` is not the start of a `.tcgs` file, is damaged, or breaks a rule of the
@@ -154,13 +154,13 @@ impl Archive {
         self.info.bounds
     }
 
-    /// By name of the attribute: the largest error against what was compressed, as
-    /// [`attribute_error`](crate::attribute_error) measures it, as the file declares it; empty if it does not.
+    /// By name of the attribute: the largest error against the compressed scene that the file declares, as
+    /// [`attribute_error`](crate::attribute_error) measures it; empty if the file declares none.
     pub fn declared_errors(&self) -> &[(String, f32)] {
         &self.info.errors
     }
 
-    /// Length of the whole file in bytes, as its start says.
+    /// Length of the whole file in bytes, as declared at its start.
     pub fn file_bytes(&self) -> u64 {
         self.length
     }
@@ -199,7 +199,7 @@ impl Archive {
 
     /// The cohorts that live at a timestep of the scene, ascending.
     pub fn cohorts_at(&self, timestep: usize) -> impl Iterator<Item = usize> {
-        // They ascend by their first timesteps.
+        // Cohorts ascend by their first timesteps.
         let begun = match &self.cohorts {
             Cohorts::One(_) => 1,
             Cohorts::Many(places, _) => places.partition_point(|place| place.start as usize <= timestep),
@@ -207,7 +207,7 @@ impl Archive {
         (0..begun).filter(move |&cohort| self.timesteps_of(cohort).contains(&timestep))
     }
 
-    /// The timesteps around one in which the same cohorts live as in it.
+    /// The largest span around a timestep in which the same cohorts live.
     ///
     /// # Panics
     /// If the scene has no such timestep.
@@ -239,8 +239,8 @@ impl Archive {
         }
     }
 
-    /// Range of the file from the head of a cohort to the end of its shared layers: what one request may fetch for
-    /// [`Self::open_cohort`] and [`Cohort::read_shared`] together.
+    /// Range of the file from the head of a cohort to the end of its shared layers: one request for both
+    /// [`Self::open_cohort`] and [`Cohort::read_shared`].
     ///
     /// # Panics
     /// If `cohort` is not below [`Self::num_cohorts`].
@@ -255,8 +255,8 @@ impl Archive {
         }
     }
 
-    /// The cohort whose plan (attributes, quantizers, predictors) a cohort shares, if [`Self::open_cohort`] must have
-    /// opened that one before.
+    /// The cohort whose plan (attributes, quantizers, predictors) this cohort shares, and which [`Self::open_cohort`]
+    /// must have opened before; `None` if the cohort has its own plan or the shared one is already open.
     ///
     /// # Panics
     /// If `cohort` is not below [`Self::num_cohorts`].
@@ -270,7 +270,7 @@ impl Archive {
         }
     }
 
-    /// Opens a cohort: where its sections lie.
+    /// Opens a cohort, so that the positions of its sections are known.
     ///
     /// - `bytes`: those of [`Self::head_range`]; further bytes are ignored
     ///
@@ -303,10 +303,10 @@ impl Archive {
         }
     }
 
-    /// Verifies the checksums of the optional sections that lie whole in some bytes of the file. The other sections are
-    /// verified when they are decoded.
+    /// Verifies the checksums of the optional sections that lie entirely within some bytes of the file. The other
+    /// sections are verified when they are decoded.
     ///
-    /// - `bytes`: from `offset` of the file
+    /// - `bytes`: start at `offset` of the file
     pub(super) fn check_optional(&self, offset: u64, bytes: &[u8]) -> Result<(), DecodeError> {
         let end = offset + bytes.len() as u64;
         let within = |entry: &&Entry| entry.is_optional() && offset <= entry.range.start && entry.range.end <= end;
@@ -336,8 +336,8 @@ impl Archive {
     ///
     /// - `index`: position in [`Self::application_ranges`]
     /// - `bytes`: the bytes of the range at `index`
-    /// - returns: the name, and the bytes after the name; none if the section does not begin with a name in UTF-8, which
-    ///   no decoder needs
+    /// - returns: the name, and the bytes after the name. `None` if the section does not begin with a name in UTF-8; no
+    ///   decoder needs such a section
     ///
     /// # Errors
     /// [`DecodeError::Format`] if the checksum does not match.
@@ -357,7 +357,7 @@ impl Archive {
 
     /// Names and bytes of all application data, in the order of the file.
     ///
-    /// - `file`: whole
+    /// - `file`: all bytes of the file
     pub(crate) fn application_data_in<'a>(&self, file: &'a [u8]) -> Result<Vec<(String, &'a [u8])>, DecodeError> {
         let of_range = |(index, range): (usize, Range<u64>)| {
             self.read_application(index, &file[range.start as usize..range.end as usize]).transpose()

@@ -3,23 +3,23 @@
 //!
 //! All arithmetic is exact and in integers, so that all machines agree. Code that is generic over [`Coder`] serves both
 //! directions: it passes a symbol to the coder and continues with the symbol that the coder returns. The [`Encoder`]
-//! returns the symbol that it was given, the [`Decoder`] ignores it and returns the symbol from the bytes.
+//! returns the symbol it was given. The [`Decoder`] ignores it and returns the symbol from the bytes.
 
-/// Symbols of a model.
+/// Number of symbols of a model.
 pub(super) const NUM_SYMBOLS: usize = 16;
-/// Frequencies that the coder sees add up to 2 to the power of this.
+/// Binary logarithm of the coder's total frequency.
 const FREQUENCY_BITS: u32 = 15;
-/// Bits of a cumulative frequency below those that the coder sees.
+/// Fractional bits of a model's cumulative frequency, which the coder drops.
 const FRACTION_BITS: u32 = 15;
 const ONE: i32 = 1 << (FREQUENCY_BITS + FRACTION_BITS);
-/// What no symbol falls below: two units of the coder, of which rounding takes less than one.
+/// Least frequency of a symbol: two units of the coder, because rounding may take up to one.
 const MIN_FREQUENCY: i32 = 2 << FRACTION_BITS;
-/// A symbol moves its model by a half, then by less and less, in the end by 2 to the power of minus this.
+/// Largest shift of the adaptation: the first symbol moves the model by a half, later ones by less, at least by 2⁻⁷.
 const SLOWEST: u32 = 7;
 /// Lowest state of the coder between symbols.
 const LOWEST: u64 = 1 << 31;
 
-/// Where the cumulative frequencies move after each symbol.
+/// Cumulative frequencies towards which each symbol moves the model.
 const TARGETS: [[i32; NUM_SYMBOLS]; NUM_SYMBOLS] = {
     let mut targets = [[0; NUM_SYMBOLS]; NUM_SYMBOLS];
     let mut symbol = 0;
@@ -35,18 +35,18 @@ const TARGETS: [[i32; NUM_SYMBOLS]; NUM_SYMBOLS] = {
     targets
 };
 
-/// How likely each symbol is, learned from those before.
+/// Adaptive probabilities of the symbols.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub(super) struct SymbolModel {
-    /// Of the symbols before each, ascending from 0; the last symbol ends at [`ONE`].
+    /// Sum of the frequencies of all symbols before each, ascending from 0; the last symbol ends at [`ONE`].
     cumulative: [i32; NUM_SYMBOLS],
-    /// Symbols seen, and one.
+    /// Number of symbols seen, plus one.
     age: u32,
 }
 
 impl SymbolModel {
-    /// The first `num_symbols` are equally likely, the others next to impossible.
+    /// A model in which the first `num_symbols` symbols are equally likely, and the others have the least frequency.
     pub(super) const fn new(num_symbols: usize) -> Self {
         let mut cumulative = [0; NUM_SYMBOLS];
         let rest = (NUM_SYMBOLS - num_symbols) as i32 * MIN_FREQUENCY;
@@ -89,16 +89,16 @@ impl SymbolModel {
 pub(super) trait Coder {
     /// Codes a symbol below 16.
     fn symbol(&mut self, model: &mut SymbolModel, symbol: u32) -> u32;
-    /// Codes `count` bits, at most 15, as they are.
+    /// Codes `count` bits, at most 15, without a model.
     fn bits(&mut self, count: u32, value: u32) -> u32;
-    /// Whether there was nothing left to decode: what was returned since is worthless.
+    /// Whether the decoder has run out of bytes; further symbols are meaningless.
     fn exhausted(&self) -> bool;
 }
 
-/// Collects symbols; the last is coded first.
+/// Collects symbols. rANS codes them in reverse order.
 #[derive(Default)]
 pub(super) struct Encoder {
-    /// Start and length.
+    /// Start and length of each symbol's interval.
     intervals: Vec<(u16, u16)>,
 }
 
@@ -127,7 +127,7 @@ impl Coder for Encoder {
 }
 
 impl Encoder {
-    /// State, then 32-bit words in the order of decoding.
+    /// Returns the state, then 32-bit words in the order of decoding.
     pub(super) fn finish(self) -> Vec<u8> {
         let mut state = LOWEST;
         let mut words = Vec::new();
@@ -145,7 +145,7 @@ impl Encoder {
     }
 }
 
-/// Reads what an [`Encoder`] wrote. Bytes that no encoder wrote give some symbols.
+/// Decodes the output of an [`Encoder`]. Any other bytes decode to arbitrary symbols.
 pub(super) struct Decoder<'a> {
     state: u64,
     words: std::slice::Iter<'a, [u8; 4]>,
@@ -179,8 +179,8 @@ impl<'a> Decoder<'a> {
         }
     }
 
-    /// Whether exactly what an encoder wrote was read: no more and no less. When fuzzing, any symbols will do:
-    /// chance would not get beyond the first section.
+    /// Whether the decoder has read the exact output of an encoder, no more and no less. When fuzzing, unread bytes are
+    /// accepted: random input would not get past the first section.
     pub(super) fn finished(&self) -> bool {
         if cfg!(fuzzing) {
             return !self.exhausted;
@@ -269,7 +269,7 @@ mod tests {
         let read = code(&mut |model, _, count, _| (decoder.symbol(model, 0), decoder.bits(count, 0)));
         assert_eq!(read, written);
         assert!(decoder.finished());
-        // A word too many or too few is seen.
+        // A surplus or missing word is detected.
         let mut decoder = Decoder::new(&bytes[..bytes.len() - 4]);
         code(&mut |model, _, count, _| (decoder.symbol(model, 0), decoder.bits(count, 0)));
         assert!(decoder.exhausted() && !decoder.finished());

@@ -1,5 +1,5 @@
-//! Decoding of parts of a cohort: which ranges of bytes a timestep needs, and their content. Input is the caller's: this
-//! module takes bytes, and names the ranges that it needs.
+//! Decoding of parts of a cohort: the byte ranges that a timestep needs, and their content. The caller does the input:
+//! this module takes bytes, and names the ranges that it needs.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -12,29 +12,31 @@ use super::shared::Shared;
 use crate::error::{DecodeError, ENDS_EARLY};
 use crate::limits::Budget;
 
-/// The Gaussians of a file that are described together, or all of a file of version 1: where their sections lie, and
-/// the shared layers that were read so far. [`Archive::open_cohort`](crate::Archive::open_cohort) makes it.
+/// A set of Gaussians that are described together; in a file of version 1, all Gaussians. Holds the positions of the
+/// sections, and the shared layers read so far. [`Archive::open_cohort`](crate::Archive::open_cohort) makes it.
 ///
 /// A caller fetches ranges of bytes, for example with HTTP range requests:
 ///
-/// 1. [`Self::shared_range`] of the layers that it wants, for [`Self::read_shared`]
+/// 1. [`Self::shared_range`] of the layers it wants, for [`Self::read_shared`]
 /// 2. [`Self::segment_range`] of any segments in any order, for [`Self::read_segment`]
 #[derive(Clone, Debug)]
 pub struct Cohort {
     head: Arc<Head>,
-    /// Those of every shared layer, then those of every layer of every segment: a *group* each.
+    /// The sections of every shared layer, then those of every layer of every segment; the sections of one layer are a
+    /// *group*.
     sections: Vec<Entry>,
-    /// Sections of a layer of a segment.
+    /// Number of sections in a layer of a segment.
     of_segment: usize,
     shared: Arc<Shared>,
     layers_read: usize,
-    /// Those of the shared layers, while these are read: they take hundreds of kilobytes, and a file may hold many cohorts.
+    /// Models of the shared layers; dropped after the last one. They take hundreds of kilobytes, and a file may hold
+    /// many cohorts.
     models: Option<SharedModels>,
     budget: Arc<Budget>,
 }
 
 impl Cohort {
-    /// - `sections`: as many as [`Self::num_sections`] says, in their order
+    /// - `sections`: [`Self::num_sections`] of them, in the order of the file
     pub(super) fn new(head: Head, sections: Vec<Entry>, budget: Arc<Budget>) -> Self {
         debug_assert_eq!(sections.len(), Self::num_sections(&head));
         Self {
@@ -48,7 +50,7 @@ impl Cohort {
         }
     }
 
-    /// Sections of a cohort: those of every shared layer, then those of every layer of every segment.
+    /// Number of sections of a cohort: those of every shared layer, then those of every layer of every segment.
     pub(super) fn num_sections(head: &Head) -> usize {
         let of_layer = sections_of_layer(head) + head.num_segments() * head.plan.listed_varying().count();
         head.layers.len() * of_layer
@@ -89,7 +91,7 @@ impl Cohort {
         self.head.has_lives
     }
 
-    /// Names of optional attributes that are left out, since a newer version of this crate coded them.
+    /// Names of optional attributes that are skipped because a newer version of this crate coded them.
     pub fn skipped(&self) -> impl Iterator<Item = &str> {
         self.head.plan.skipped.iter().map(|skipped| skipped.name.as_str())
     }
@@ -135,8 +137,8 @@ impl Cohort {
         (timestep - self.head.start) / self.head.segment_length()
     }
 
-    /// Range of the file that [`Self::read_shared`] needs so that the first `layers` shared layers are read; layers
-    /// that were read already are not part of it.
+    /// Range of the file that [`Self::read_shared`] needs to read the shared layers up to number `layers`. Layers that
+    /// were already read are not part of it.
     ///
     /// # Panics
     /// If `layers` exceeds [`Self::num_layers`].
@@ -159,7 +161,7 @@ impl Cohort {
         self.range_of(first..first + layers)
     }
 
-    /// Bytes of groups of sections that follow one another: shared layers, or layers of one segment.
+    /// Byte range of consecutive groups of sections: shared layers, or layers of one segment.
     pub(super) fn range_of(&self, groups: Range<usize>) -> Range<u64> {
         let end = self.sections.last().map_or(0, |e| e.range.end);
         let sections = self.group(groups.start).start..self.group(groups.end.max(1) - 1).end;
@@ -171,7 +173,8 @@ impl Cohort {
         }
     }
 
-    /// Indices of the sections of a group: `group` is a shared layer, or beyond them a layer of a segment.
+    /// Indices of the sections of a group. The first groups are the shared layers, the following ones the layers of
+    /// segments.
     fn group(&self, group: usize) -> Range<usize> {
         let (layers, of_layer) = (self.num_layers(), sections_of_layer(&self.head));
         let (start, count) = match group.checked_sub(layers) {
@@ -186,9 +189,10 @@ impl Cohort {
         self.num_layers() * (1 + self.num_segments())
     }
 
-    /// Sections of a group with their bytes, without those of skipped attributes, whose checksums are verified alone.
+    /// Sections of a group with their bytes. Sections of skipped attributes are omitted; only their checksums are
+    /// verified.
     ///
-    /// - `bytes`: from `offset` of the file
+    /// - `bytes`: start at `offset` of the file
     pub(super) fn sections<'a>(
         &self,
         group: usize,
@@ -222,7 +226,7 @@ impl Cohort {
         {
             let sections = self.sections(self.layers_read, start, bytes)?;
             let layer = self.head.layer(self.layers_read);
-            // Segments that were given away keep what they had.
+            // Segments already returned keep the layers they had.
             let shared = Arc::make_mut(&mut self.shared);
             let models = self.models.get_or_insert_with(|| SharedModels::new(&self.head.plan));
             models.read(&self.head, layer, sections, shared, &self.budget)?;
@@ -248,7 +252,7 @@ impl Cohort {
     pub fn read_segment(&self, segment: usize, bytes: &[u8]) -> Result<Segment, DecodeError> {
         assert!(segment < self.num_segments(), "segment {segment} of {}", self.num_segments());
         let mut reader = SegmentReader::new(self, segment);
-        // Segments come and go: each may take what is left beside the shared layers.
+        // Segments are temporary, so each may use the budget that the shared layers leave.
         let budget = self.budget.fork();
         let start = self.segment_range(segment, 0).start;
         for layer in 0..self.layers_read {
@@ -260,7 +264,7 @@ impl Cohort {
         Ok(reader.finish(self))
     }
 
-    /// Memory of the shared layers that were read, bytes, at most.
+    /// Upper bound on the memory of the shared layers read so far, bytes.
     pub fn bytes(&self) -> usize {
         self.head.plan.bytes_per_gaussian() * self.shared.num_gaussians()
     }
@@ -295,7 +299,7 @@ impl Cohort {
     }
 }
 
-/// Sections of a shared layer: its maps, and the first codes of every attribute.
+/// Number of sections of a shared layer: its maps, and the first codes of every attribute.
 fn sections_of_layer(head: &Head) -> usize {
     1 + head.plan.num_listed()
 }

@@ -35,8 +35,8 @@ use crate::parallel;
 /// ```
 ///
 /// # Errors
-/// - [`DecodeError::Format`] if the file is truncated, damaged, followed by other bytes, or breaks a rule of the format;
-///   also if it holds another number of cohorts than one, which [`decode_cohorts`] decodes
+/// - [`DecodeError::Format`] if the file is truncated, damaged, followed by other bytes, or breaks a rule of the
+///   format; also unless it holds exactly one cohort: [`decode_cohorts`] decodes the others
 /// - [`DecodeError::Version`] if the file is of another version
 /// - [`DecodeError::Limit`] if decoding exceeds `limits`
 pub fn decode(file: &[u8], limits: &DecodeLimits) -> Result<CompactScene, DecodeError> {
@@ -51,8 +51,8 @@ pub fn decode(file: &[u8], limits: &DecodeLimits) -> Result<CompactScene, Decode
 ///
 /// - `file`: all bytes of the file
 /// - `limits`: bounds on memory and counts
-/// - returns: what describes the whole scene, and the cohorts by ascending [`CompactScene::start`]; that of a file of
-///   version 1 is the whole scene
+/// - returns: the description of the whole scene, and the cohorts by ascending [`CompactScene::start`]. The only cohort
+///   of a file of version 1 is the whole scene
 ///
 /// # Errors
 /// As [`decode`].
@@ -61,7 +61,7 @@ pub fn decode_cohorts(file: &[u8], limits: &DecodeLimits) -> Result<(SceneInfo, 
     Ok((archive.info().clone(), cohorts))
 }
 
-/// [`decode_cohorts`] with all that the start of the file says.
+/// [`decode_cohorts`] with everything from the start of the file.
 pub(crate) fn decode_archive(file: &[u8], limits: &DecodeLimits) -> Result<(Archive, Vec<CompactScene>), DecodeError> {
     let mut archive = open_whole(file, limits)?;
     archive.check_optional(0, file)?;
@@ -102,8 +102,7 @@ fn decode_cohort(cohort: &mut Cohort, file: &[u8]) -> Result<CompactScene, Decod
     join(cohort, &segments)
 }
 
-/// Refuses a file of version 2 whose parts leave gaps, overlap, or come in another order than that in which they are
-/// needed.
+/// Refuses a file of version 2 whose parts leave gaps, overlap, or are not in the order in which playback needs them.
 fn check_cover(archive: &Archive, cohorts: &[Cohort], length: u64) -> Result<(), DecodeError> {
     let mut pieces: Vec<(usize, usize, usize, Range<u64>)> = Vec::new();
     for (index, cohort) in cohorts.iter().enumerate() {
@@ -134,7 +133,7 @@ fn check_cover(archive: &Archive, cohorts: &[Cohort], length: u64) -> Result<(),
     if end == length { Ok(()) } else { Err(end_of_file(end, "bytes are left over")) }
 }
 
-/// Opens a file of which all bytes are given; refuses a file that is truncated or followed by other bytes.
+/// Opens a file from all of its bytes; refuses a file that is truncated or followed by other bytes.
 pub(super) fn open_whole(file: &[u8], limits: &DecodeLimits) -> Result<Archive, DecodeError> {
     let invalid = |problem| end_of_file(file.len() as u64, problem);
     match Archive::open(file, limits)? {
@@ -205,9 +204,9 @@ fn join_tracks(cohort: &Cohort, segments: &[Segment], attribute: Attribute) -> R
         codes.clear();
         for segment in segments {
             let (more_times, more_codes) = segment.tracks(attribute).unit(unit as usize);
-            // Those of a Gaussian that does not live in the segment.
+            // The Gaussian does not live in this segment.
             let Some(&first) = more_times.first() else { continue };
-            // What straddles an end is in both segments.
+            // A keypoint interval across the border of two segments is stored in both.
             let known = times.partition_point(|t| *t < first);
             let shared = times.len() - known;
             let agree = shared <= more_times.len()
@@ -220,7 +219,7 @@ fn join_tracks(cohort: &Cohort, segments: &[Segment], attribute: Attribute) -> R
             times.extend_from_slice(&more_times[shared..]);
             codes.extend_from_slice(&more_codes[shared * channels..]);
         }
-        // A track that moves in a life of one timestep.
+        // A moving track whose life is one timestep becomes a constant track, at timestep 0.
         if let [only] = &mut times[..] {
             *only = 0;
         }

@@ -43,7 +43,7 @@ pub fn encode(scene: &CompactScene) -> Result<Vec<u8>, CompressError> {
     encode_with(scene, &[])
 }
 
-/// [`encode`] with application data, which decoders skip if they do not know the name.
+/// [`encode`] with application data; decoders skip those whose names they do not know.
 ///
 /// - `data`: name and content of each piece of application data, such as cameras ([`write_views`](crate::write_views)).
 ///   The file holds them near its start
@@ -70,10 +70,10 @@ pub fn encode_with(scene: &CompactScene, data: &[(&str, &[u8])]) -> Result<Vec<u
     Ok(file.into_inner())
 }
 
-/// [`encode_with`] into a file, segment by segment: memory holds the bytes of some segments at a time.
+/// [`encode_with`] into a file, segment by segment: memory holds the bytes of a few segments at a time.
 ///
 /// - `data`: as in [`encode_with`]
-/// - `file`: written from its current position, and left at the end of the written bytes; after an error its content is
+/// - `file`: written from its current position, and left at the end of the written bytes. After an error its content is
 ///   useless
 ///
 /// ```
@@ -171,7 +171,7 @@ pub fn encode_cohorts(
     Ok(file.into_inner())
 }
 
-/// Writes a `.tcgs` file of version 2 cohort by cohort, so that memory need not hold all of a long scene.
+/// Writes a `.tcgs` file of version 2 cohort by cohort, so that memory need not hold a whole long scene.
 ///
 /// After an error, or without [`Self::finish`], the content of the file is useless.
 pub struct FileWriter<'a, W> {
@@ -183,7 +183,7 @@ impl<'a, W: Write + Seek> FileWriter<'a, W> {
     /// - `file`: written from its current position
     /// - `info`: of the whole scene; its counts are those of all cohorts together
     /// - `data`: name and content of each piece of application data
-    /// - `num_cohorts`: how many will be added
+    /// - `num_cohorts`: number of cohorts to be added
     ///
     /// # Errors
     /// - [`CompressError::Scene`] if a field of `info` is not legal
@@ -198,14 +198,14 @@ impl<'a, W: Write + Seek> FileWriter<'a, W> {
         Self::declaring(file, info, &[], data, num_cohorts)
     }
 
-    /// A file that declares by how much decoded values differ from those that were compressed.
+    /// A file that declares the largest errors of decoded values against the compressed ones.
     ///
-    /// - `errors`: by name of the attribute, as [`AttributeErrors::declared`](crate::AttributeErrors::declared) gives them
-    /// - all else as in [`Self::new`]
+    /// - `errors`: by name of the attribute, from [`AttributeErrors::declared`](crate::AttributeErrors::declared)
+    /// - other arguments as in [`Self::new`]
     ///
     /// # Errors
-    /// As [`Self::new`]; also [`CompressError::Value`] if an error is negative or not finite, and [`CompressError::Count`]
-    /// if there are more than 255 errors.
+    /// As [`Self::new`]; also [`CompressError::Value`] if an error is negative or not finite, and
+    /// [`CompressError::Count`] if there are more than 255 errors.
     pub fn declaring(
         file: &'a mut W,
         info: &SceneInfo,
@@ -219,12 +219,12 @@ impl<'a, W: Write + Seek> FileWriter<'a, W> {
         Ok(Self { writer: Writer2::new(file, info, &application(data)?, num_cohorts)?, num_gaussians: 0 })
     }
 
-    /// Declares other errors of the same attributes, such as those that were measured cohort by cohort while the file was
-    /// written. They count once the file is [finished](Self::finish).
+    /// Replaces the declared errors of the same attributes, such as by errors measured cohort by cohort during writing.
+    /// [`Self::finish`] writes them.
     ///
     /// # Errors
-    /// As [`Self::declaring`]; also [`CompressError::Count`] if these are not the attributes that it was given, in their
-    /// order: the place for their names is fixed from then on.
+    /// As [`Self::declaring`]; also [`CompressError::Count`] if the attributes or their order differ from those given
+    /// there: the space for their names is fixed by then.
     pub fn declare(&mut self, errors: &[(String, f32)]) -> Result<(), CompressError> {
         check_errors(errors)?;
         let declared = &mut self.writer.info_mut().errors;
@@ -240,14 +240,14 @@ impl<'a, W: Write + Seek> FileWriter<'a, W> {
     /// Adds the next cohort.
     ///
     /// # Errors
-    /// - [`CompressError::Scene`] if the cohort breaks a rule of the format, such as a code outside its width, or ends after
-    ///   the scene
+    /// - [`CompressError::Scene`] if the cohort breaks a rule of the format, such as a code outside its width, or ends
+    ///   after the scene
     /// - [`CompressError::Count`] if the cohort has no Gaussians, more segments (65,535), or a longer section (4 GiB)
     ///   than the format holds
     /// - [`CompressError::Io`] if the file cannot be written
     ///
     /// # Panics
-    /// If the cohort begins before the one added last, or there are more than [`Self::new`] was told.
+    /// If the cohort begins before the one added last, or there are more cohorts than were announced to [`Self::new`].
     pub fn add(&mut self, cohort: &CompactScene) -> Result<(), CompressError> {
         let end = u64::from(cohort.start) + u64::from(cohort.info.num_timesteps);
         if end > u64::from(self.writer.info().scene.num_timesteps) {
@@ -271,14 +271,14 @@ impl<'a, W: Write + Seek> FileWriter<'a, W> {
         self.writer.add(Encoded { head, shared: sections, segments: of_segments })
     }
 
-    /// Completes the file, which then stands at its end.
+    /// Completes the file and leaves the position at its end.
     ///
     /// # Errors
-    /// - [`CompressError::Count`] if the cohorts have not as many Gaussians together as the scene
+    /// - [`CompressError::Count`] if the cohorts together have another number of Gaussians than the scene
     /// - [`CompressError::Io`] if the file cannot be written
     ///
     /// # Panics
-    /// If there are fewer cohorts than [`Self::new`] was told.
+    /// If there are fewer cohorts than were announced to [`Self::new`].
     pub fn finish(self) -> Result<(), CompressError> {
         let expected = self.writer.info().scene.num_gaussians as usize;
         if self.num_gaussians != expected as u64 {
@@ -289,7 +289,7 @@ impl<'a, W: Write + Seek> FileWriter<'a, W> {
     }
 }
 
-/// Checks what a file is to declare.
+/// Checks the errors to be declared.
 fn check_errors(errors: &[(String, f32)]) -> Result<(), CompressError> {
     let count = |what: &str, found: usize, expected: usize| {
         let what = what.into();
@@ -304,7 +304,7 @@ fn check_errors(errors: &[(String, f32)]) -> Result<(), CompressError> {
     })
 }
 
-/// Sections of application data.
+/// Encodes sections of application data.
 fn application(data: &[(&str, &[u8])]) -> Result<Vec<(Tag, Vec<u8>)>, CompressError> {
     let section = |&(name, bytes): &(&str, &[u8])| {
         let expected = usize::from(u16::MAX);
@@ -315,8 +315,8 @@ fn application(data: &[(&str, &[u8])]) -> Result<Vec<(Tag, Vec<u8>)>, CompressEr
     data.iter().map(section).collect()
 }
 
-/// Cohorts of fewer Gaussians than this take the predictors of an earlier cohort where they can: their own would take
-/// more bytes than they save.
+/// Least number of Gaussians of a cohort for its own predictors. A smaller cohort uses those of an earlier cohort if
+/// possible: its own would take more bytes than they save.
 const MIN_FITTED: usize = 2000;
 
 /// A cohort that is ready for entropy coding.
@@ -326,7 +326,7 @@ struct Prepared {
 }
 
 impl Prepared {
-    /// - `scene`: one that [`bounds`] found legal
+    /// - `scene`: already checked by [`bounds`]
     /// - `plans`: those of earlier cohorts
     fn new(scene: &CompactScene, info: Info, plans: &[Arc<Plan>]) -> Result<Self, CompressError> {
         let layout = &scene.layout;
@@ -369,12 +369,12 @@ impl Prepared {
     }
 }
 
-/// Segments and attributes that are encoded together, for each thread.
+/// Jobs for each thread that are encoded together; a job is one attribute of one segment.
 const JOBS_PER_THREAD: usize = 8;
 
 /// Encodes the segments of a cohort, in their order.
 ///
-/// - `take`: is given the sections of each segment, layer by layer; nothing if no attribute varies
+/// - `take`: receives the sections of each segment, layer by layer; not called if no attribute varies
 fn segments(
     scene: &CompactScene,
     head: &Head,
@@ -383,7 +383,7 @@ fn segments(
 ) -> Result<(), CompressError> {
     let varying: Vec<Attribute> = head.plan.varying().collect();
     let num_segments = if varying.is_empty() { 0 } else { head.num_segments() };
-    // Enough segments together that no thread waits for long.
+    // Encodes enough segments at once to keep all threads busy.
     let at_once = (JOBS_PER_THREAD * rayon::current_num_threads()).div_ceil(varying.len().max(1));
     for start in (0..num_segments).step_by(at_once) {
         let segments = start..(start + at_once).min(num_segments);
@@ -435,7 +435,7 @@ fn bounds(scene: &CompactScene) -> Result<[[f32; 3]; 2], CompressError> {
     Ok(bounds)
 }
 
-/// The shared layers of a cohort in the form in which a decoder holds them.
+/// The shared layers of a cohort in a decoder's representation.
 fn shared_of(scene: &CompactScene, head: &Head) -> Shared {
     let empty = Shared::new(&head.plan, head.has_lives);
     let mut shared = Shared { bit_map: scene.bit_map.clone(), lives: scene.lives.clone(), ..empty };
@@ -456,7 +456,7 @@ fn shared_of(scene: &CompactScene, head: &Head) -> Shared {
     shared
 }
 
-/// The shared layers: of each its maps, and the first codes of every attribute.
+/// Encodes the shared layers: for each its maps, and the first codes of every attribute.
 fn shared_sections(head: &Head, shared: &mut Shared) -> Vec<Vec<u8>> {
     let plan = &*head.plan;
     let mut maps = MapModels::new(plan);
@@ -483,7 +483,7 @@ fn shared_sections(head: &Head, shared: &mut Shared) -> Vec<Vec<u8>> {
     sections
 }
 
-/// The keypoints of an attribute in a segment, layer by layer.
+/// Encodes the keypoints of an attribute in a segment, layer by layer.
 fn segment_sections(
     scene: &CompactScene,
     head: &Head,

@@ -1,5 +1,5 @@
-//! The encoder's choice of predictors for first codes: weights of least squares and the mode that takes the fewest
-//! bytes. The file holds the result, so a decoder does not need this module.
+//! The encoder's choice of predictors for first codes: least-squares weights and the mode that takes the fewest bytes.
+//! The file holds the result, so a decoder does not need this module.
 
 use tcgs_core::Attribute;
 
@@ -8,12 +8,12 @@ use super::neighbors::NONE;
 use super::plan::{Mode, Plan, Predictor, num_weights};
 use super::shared::{Features, FirstModels, MAX_FEATURES, Shared, value};
 
-/// Keeps weights small where features say nothing; relative to the squares of the features.
+/// Ridge regularisation, relative to the squares of the features: keeps weights small where features are uninformative.
 const RIDGE: f64 = 1e-4;
-/// Gaussians that weights are fitted to, at most, evenly taken.
+/// Largest number of Gaussians that weights are fitted to, evenly sampled.
 const SAMPLE: usize = 1 << 16;
 
-/// Predictors of an attribute: weights of least squared error, and the modes that take the fewest bytes.
+/// Predictors of an attribute: least-squares weights, and the modes that take the fewest bytes.
 pub(super) fn predictors(attribute: Attribute, plan: &Plan, shared: &Shared) -> Vec<Predictor> {
     let components = attribute.components();
     let mut plan = plan.clone();
@@ -88,7 +88,7 @@ fn weights(attribute: Attribute, channel: usize, plan: &Plan, shared: &Shared) -
     products[..count].iter().map(|&w| if w.is_finite() { (w as f32).clamp(-1e3, 1e3) } else { 0.0 }).collect()
 }
 
-/// Gaussian elimination of a symmetric positive definite system, in place.
+/// Solves a symmetric positive definite system in place by Gaussian elimination.
 fn solve(matrix: &mut [[f64; MAX_FEATURES]; MAX_FEATURES], right: &mut [f64; MAX_FEATURES], count: usize) {
     for i in 0..count {
         for j in i + 1..count {

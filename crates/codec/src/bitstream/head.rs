@@ -1,4 +1,5 @@
-//! What a decoder knows before any entropy-coded symbol: the section `INFO`, and the head of a cohort (`docs/FORMAT.md`).
+//! The data that a decoder needs before any entropy-coded symbol: the section `INFO`, and the head of a cohort
+//! (`docs/FORMAT.md`).
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -9,44 +10,44 @@ use crate::compact::{ColorSpace, SceneInfo, UpAxis, Violation, check_division};
 use crate::error::{DecodeError, NEWER};
 use crate::limits::DecodeLimits;
 
-/// Most segments of a cohort.
+/// Largest number of segments of a cohort.
 pub(super) const MAX_SEGMENTS: usize = SHARED as usize;
 
-/// Content of `INFO`: what holds for the whole scene.
+/// Content of `INFO`: the description of the whole scene.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Info {
     pub(super) scene: SceneInfo,
     /// Smallest and largest coordinates of means.
     pub(super) bounds: [[f32; 3]; 2],
-    /// By attribute name, the largest error against what was compressed.
+    /// By attribute name, the largest error against the compressed scene.
     pub(super) errors: Vec<(String, f32)>,
 }
 
-/// What is known of a cohort before its symbols.
+/// Description of a cohort.
 #[derive(Clone, Debug)]
 pub(super) struct Head {
-    /// Which cohort of the file.
+    /// Index of the cohort in the file.
     pub(super) index: usize,
-    /// Of the whole scene.
+    /// Description of the whole scene.
     pub(super) info: Arc<Info>,
     pub(super) plan: Arc<Plan>,
     /// Timestep of the scene at which the cohort begins.
     pub(super) start: usize,
-    /// Timesteps of the cohort, at most 65536.
+    /// Number of timesteps of the cohort, at most 65536.
     pub(super) num_timesteps: usize,
-    /// Gaussians of the cohort.
+    /// Number of Gaussians of the cohort.
     pub(super) num_gaussians: usize,
     /// Whether Gaussians have first and last timesteps of their own.
     pub(super) has_lives: bool,
     /// `[layers]`: number of Gaussians of each layer.
     pub(super) layers: Vec<u32>,
-    /// `L` of the file; [`Self::segment_length`] is the length in effect.
+    /// `L` of the file; [`Self::segment_length`] is the effective length.
     pub(super) segment_length: u32,
 }
 
 impl Head {
-    /// Length of the segments in timesteps. A cohort without Gaussians or without an attribute that varies has one
-    /// segment of all timesteps: otherwise a few bytes could claim 65,536 segments.
+    /// Length of the segments in timesteps. A cohort without Gaussians or without a varying attribute has one segment
+    /// of all timesteps: otherwise a few bytes could claim 65,536 segments.
     pub(super) fn segment_length(&self) -> usize {
         let moves = self.num_gaussians > 0 && self.plan.listed_varying().next().is_some();
         if moves { self.segment_length as usize } else { self.num_timesteps }
@@ -79,7 +80,7 @@ impl Head {
     }
 }
 
-/// The fields of `INFO` that all versions have.
+/// Writes the fields of `INFO` that all versions have.
 fn write_scene(info: &Info) -> Vec<u8> {
     let Info { scene, bounds, .. } = info;
     let mut bytes = Vec::new();
@@ -97,13 +98,13 @@ fn write_scene(info: &Info) -> Vec<u8> {
     bytes
 }
 
-/// A text of at most 65535 bytes.
+/// Writes a text of at most 65535 bytes.
 pub(super) fn write_text(bytes: &mut Vec<u8>, text: &str) {
     bytes.extend((text.len() as u16).to_le_bytes());
     bytes.extend(text.as_bytes());
 }
 
-/// `INFO` of version 1, which holds the division of its only cohort.
+/// Writes `INFO` of version 1, which includes the division of its only cohort.
 pub(super) fn write_info_1(info: &Info, head: &Head) -> Vec<u8> {
     let mut bytes = write_scene(info);
     bytes.extend(head.segment_length.to_le_bytes());
@@ -111,7 +112,7 @@ pub(super) fn write_info_1(info: &Info, head: &Head) -> Vec<u8> {
     bytes
 }
 
-/// `INFO` of version 2.
+/// Writes `INFO` of version 2.
 pub(super) fn write_info_2(info: &Info) -> Vec<u8> {
     let mut bytes = write_scene(info);
     bytes.push(info.errors.len() as u8);
@@ -132,7 +133,7 @@ pub(super) fn read_layers(cursor: &mut Cursor<'_>) -> Result<Vec<u32>, DecodeErr
     (0..num_layers).map(|_| cursor.u32("layers")).collect()
 }
 
-/// The fields of `INFO` that all versions have.
+/// Reads the fields of `INFO` that all versions have.
 fn read_scene(cursor: &mut Cursor<'_>, limits: &DecodeLimits) -> Result<Info, DecodeError> {
     let num_gaussians = cursor.u32("num_gaussians")?;
     let num_timesteps = cursor.u32("num_timesteps")?;
@@ -172,9 +173,9 @@ fn read_scene(cursor: &mut Cursor<'_>, limits: &DecodeLimits) -> Result<Info, De
     Ok(Info { scene, bounds, errors: Vec::new() })
 }
 
-/// `INFO` of version 1.
+/// Reads `INFO` of version 1.
 ///
-/// - returns: what holds for the scene, length of a segment, and layers
+/// - returns: the description of the scene, the length of a segment, and the layers
 pub(super) fn read_info_1(mut cursor: Cursor<'_>, limits: &DecodeLimits) -> Result<(Info, u32, Vec<u32>), DecodeError> {
     let info = read_scene(&mut cursor, limits)?;
     let segment_length = cursor.u32("segment_length")?;
@@ -185,7 +186,7 @@ pub(super) fn read_info_1(mut cursor: Cursor<'_>, limits: &DecodeLimits) -> Resu
     Ok((info, segment_length, layers))
 }
 
-/// `INFO` of version 2.
+/// Reads `INFO` of version 2.
 pub(super) fn read_info_2(mut cursor: Cursor<'_>, limits: &DecodeLimits) -> Result<Info, DecodeError> {
     let mut info = read_scene(&mut cursor, limits)?;
     for _ in 0..cursor.u8("number of errors")? {

@@ -1,4 +1,4 @@
-//! Description of a file for people: sections, sizes, checksums and statistics; and the application data of a file.
+//! Description of a file for people: sections, sizes, checksums and statistics. Also the application data of a file.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -14,35 +14,37 @@ use crate::compact::{CompactScene, SceneInfo};
 use crate::error::DecodeError;
 use crate::limits::DecodeLimits;
 
-/// Description of a file, made by [`inspect`], or without its contents by [`SceneFile::outline`](crate::SceneFile::outline).
+/// Description of a file, made by [`inspect`], or without [`Self::contents`] by
+/// [`SceneFile::outline`](crate::SceneFile::outline).
 #[derive(Clone, Debug, PartialEq)]
 pub struct FileInfo {
     /// Version of the format.
     pub version: u16,
     /// Length of the file in bytes.
     pub bytes: u64,
-    /// Length of the file in bytes as its table of contents says; more than [`Self::bytes`] if the file was cut.
+    /// Length of the file in bytes that its table of contents declares; more than [`Self::bytes`] if the file was cut.
     pub bytes_before: u64,
     /// Counts and provenance of the scene.
     pub scene: SceneInfo,
-    /// All sections: those of the whole scene, then cohort by cohort; of a file of version 1 in the order of the file.
+    /// All sections: those of the whole scene, then those of each cohort; in a file of version 1 in the order of the
+    /// file.
     pub sections: Vec<SectionInfo>,
     /// All cohorts whose heads are whole.
     pub cohorts: Vec<CohortInfo>,
     /// Axis-aligned bounding box of all means at all timesteps, in scene units: the smallest and the largest
     /// coordinates.
     pub bounds: [[f32; 3]; 2],
-    /// By name of the attribute: the largest error against what was compressed, as the file declares it
+    /// By name of the attribute: the largest error against the compressed scene that the file declares
     /// ([`Archive::declared_errors`]).
     pub declared_errors: Vec<(String, f32)>,
-    /// Statistics of the decoded scene; none if a section is damaged or missing, or was not read.
+    /// Statistics of the decoded scene; `None` if a section is damaged, missing, or was not read.
     pub contents: Option<Contents>,
 }
 
 /// One cohort of a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CohortInfo {
-    /// Timesteps of the scene that it spans.
+    /// Timesteps of the scene that the cohort spans.
     pub timesteps: Range<usize>,
     /// `[layers]`: number of Gaussians of each layer.
     pub layers: Vec<u32>,
@@ -50,18 +52,18 @@ pub struct CohortInfo {
     pub segments: Vec<(Range<usize>, Range<u64>)>,
     /// Which columns the Gaussians have.
     pub layout: Arc<Layout>,
-    /// Names of optional attributes that this version of the crate cannot decode, and leaves out.
+    /// Names of optional attributes that this version of the crate cannot decode, and skips.
     pub skipped: Vec<String>,
 }
 
 /// One section of a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SectionInfo {
-    /// Name of the kind of section, such as `maps`; that of the attribute for a section with codes of an attribute.
+    /// Kind of section, such as `maps`; for codes of an attribute the attribute's name.
     pub name: String,
-    /// Index of the cohort that the section belongs to; none if it belongs to the whole scene.
+    /// Index of the cohort that the section belongs to; `None` if it belongs to the whole scene.
     pub cohort: Option<usize>,
-    /// Index of the segment that the section belongs to; none if all segments share the section.
+    /// Index of the segment that the section belongs to; `None` if all segments share the section.
     pub segment: Option<usize>,
     /// Index of the layer that the section belongs to; 0 if the section belongs to none.
     pub layer: usize,
@@ -69,15 +71,15 @@ pub struct SectionInfo {
     pub bytes: u64,
     /// Whether all bytes of the section are there; false only of a file that was cut.
     pub is_whole: bool,
-    /// Whether the CRC-32 of the section agrees with the table of contents; false if the section is not whole, none if it was
-    /// not read.
+    /// Whether the CRC-32 of the section matches the table of contents. `Some(false)` if the section is not whole,
+    /// `None` if it was not read.
     pub checksum_ok: Option<bool>,
 }
 
 /// Statistics of the scene in an undamaged file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Contents {
-    /// By name of the attribute: the number of Gaussians of each width in use; width 0 of those that lack it.
+    /// By name of the attribute: the number of Gaussians of each width in use; width 0 counts Gaussians that lack it.
     pub bits_histogram: Vec<(String, BTreeMap<u8, usize>)>,
     /// By name of the attribute: mean number of keypoints of a track.
     pub keypoints_mean: Vec<(String, f64)>,
@@ -88,13 +90,13 @@ pub struct Contents {
 }
 
 impl FileInfo {
-    /// Whether all sections were read, and their checksums are right.
+    /// Whether all sections were read and all checksums match.
     pub fn checksums_ok(&self) -> bool {
         self.sections.iter().all(|s| s.checksum_ok == Some(true))
     }
 
-    /// By name of the attribute: total length of the sections with codes of the attribute, in bytes. Bit widths and all
-    /// else lie in other sections.
+    /// By name of the attribute: total length of the sections with its codes, in bytes. Bit widths and all other data
+    /// lie in other sections.
     pub fn bytes_by_attribute(&self) -> Vec<(String, u64)> {
         let layouts = self.cohorts.iter().map(|cohort| &cohort.layout);
         let layout = layouts.max_by_key(|layout| layout.columns().len()).map_or_else(Layout::base, Arc::clone);
@@ -123,15 +125,14 @@ impl FileInfo {
 ///
 /// # Errors
 /// - [`DecodeError::Format`] if the header, `INFO` or `PLAN` is damaged, the file is truncated or followed by other
-///   bytes, or a file of right checksums breaks a rule of the format
+///   bytes, or a file with correct checksums breaks a rule of the format
 /// - [`DecodeError::Version`] if the file is of another version
 /// - [`DecodeError::Limit`] if decoding exceeds `limits`
 pub fn inspect(file: &[u8], limits: &DecodeLimits) -> Result<FileInfo, DecodeError> {
     inspect_archive(file, limits, open_whole(file, limits)?)
 }
 
-/// [`inspect`] of a file that may have been cut: sections that are not whole are reported by
-/// [`SectionInfo::is_whole`].
+/// [`inspect`] of a file that may have been cut: [`SectionInfo::is_whole`] is false for sections that are not whole.
 ///
 /// ```
 /// use tcgs_codec::{BitMap, CompressSettings, DecodeLimits, SceneInfo, compress, encode, inspect_cut};
@@ -147,7 +148,7 @@ pub fn inspect(file: &[u8], limits: &DecodeLimits) -> Result<FileInfo, DecodeErr
 /// ```
 ///
 /// # Errors
-/// As [`inspect`], of a file that was cut only if the header, `INFO` or `PLAN` is not whole.
+/// As [`inspect`]. A file that was cut is an error only if the header, `INFO` or `PLAN` is not whole.
 pub fn inspect_cut(file: &[u8], limits: &DecodeLimits) -> Result<FileInfo, DecodeError> {
     match Archive::open(file, limits)? {
         Opening::Ready(archive) if archive.file_bytes() > file.len() as u64 => inspect_archive(file, limits, *archive),
@@ -160,7 +161,7 @@ fn inspect_archive(file: &[u8], limits: &DecodeLimits, mut archive: Archive) -> 
     let cohorts: Vec<Cohort> = if is_whole {
         open_cohorts(&mut archive, file)?
     } else {
-        // Heads come by ascending timesteps: those beyond the end of what is left are not whole.
+        // Heads come by ascending timesteps, so heads beyond the end of the cut file are missing.
         let whole = (0..archive.num_cohorts()).take_while(|&i| archive.head_range(i).end <= file.len() as u64);
         let whole: Vec<usize> = whole.collect();
         let head = |archive: &Archive, i| archive.head_range(i).start as usize..archive.head_range(i).end as usize;
@@ -175,10 +176,10 @@ fn inspect_archive(file: &[u8], limits: &DecodeLimits, mut archive: Archive) -> 
 }
 
 impl FileInfo {
-    /// What the start of a file says.
+    /// A description from the start of a file.
     ///
-    /// - `length`: bytes of the file, which may have been cut
-    /// - `file`: all of these bytes; none: sections are not read
+    /// - `length`: of the file in bytes, which may have been cut
+    /// - `file`: all of these bytes; with `None` sections are not read
     pub(crate) fn new(archive: &Archive, length: u64, file: Option<&[u8]>) -> Self {
         let sections = archive.entries().iter();
         Self {
@@ -196,7 +197,7 @@ impl FileInfo {
 
     /// Adds the next cohort.
     pub(crate) fn add(&mut self, archive: &Archive, cohort: &Cohort, file: Option<&[u8]>) {
-        // The table of version 1 has the sections of its only cohort.
+        // In version 1 the table of contents already lists the sections of the only cohort.
         if archive.version() > 1 {
             let (index, length) = (Some(self.cohorts.len()), self.bytes);
             let named = cohort.entries().iter().zip(cohort.entry_names());
@@ -256,11 +257,11 @@ fn contents(cohorts: &[CompactScene]) -> Contents {
     contents
 }
 
-/// Application data of a file, as [`encode_with`](crate::encode_with) wrote them.
+/// Application data of a file, as written by [`encode_with`](crate::encode_with).
 ///
 /// - `file`: all bytes of the file
 /// - `limits`: bounds on memory and counts
-/// - returns: name and content of each piece, in the order of the file, without those that lack a name in UTF-8
+/// - returns: name and content of each piece, in the order of the file. Pieces without a name in UTF-8 are left out
 ///
 /// ```
 /// use tcgs_codec::{BitMap, CompressSettings, DecodeLimits, SceneInfo, application_data, compress, encode_with};

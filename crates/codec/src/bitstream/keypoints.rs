@@ -14,11 +14,11 @@ use crate::compact::Tracks;
 use crate::error::DecodeError;
 use crate::limits::Budget;
 
-/// Keypoints of units. A unit is what has keypoint times of its own, if it moves: all components of an
-/// attribute of a Gaussian where they share their times, else a track.
+/// Keypoints of units. A unit is a group of tracks with common keypoint times, if it moves: all components of an
+/// attribute of a Gaussian if they share their times, else one track.
 #[derive(Clone, Debug, Default)]
 pub(super) struct UnitTracks {
-    /// Components of a unit.
+    /// Number of components of a unit.
     pub(super) channels: usize,
     /// `[units + 1]`
     starts: Vec<u32>,
@@ -69,7 +69,8 @@ impl UnitTracks {
         self.starts.len() * size_of::<u32>() + self.times.len() * self.bytes_per_keypoint()
     }
 
-    /// Times and codes, `[keypoints]` and `[keypoints, channels]`; none of a unit that does not live in the segment.
+    /// Times and codes of a unit, `[keypoints]` and `[keypoints, channels]`; empty if the Gaussian does not live in the
+    /// segment.
     pub(super) fn unit(&self, unit: usize) -> (&[u16], &[i16]) {
         let range = self.starts[unit] as usize..self.starts[unit + 1] as usize;
         (&self.times[range.clone()], &self.codes[range.start * self.channels..range.end * self.channels])
@@ -80,11 +81,11 @@ impl UnitTracks {
         Keypoints { channels: self.channels, starts: &self.starts, times: &self.times, codes: &self.codes }
     }
 
-    /// Code of a channel at a time, linear between keypoints, held beyond them.
+    /// Code of a channel at a time: linear between keypoints, constant beyond them.
     ///
-    /// Predicts the codes of other units while decoding. FORMAT.md makes this form normative, in f64 and in this order of
-    /// operations: another form, such as `keypoints::lerp` in f32, which turns decoded codes into floats, predicts
-    /// otherwise and reads other symbols.
+    /// Predicts the codes of other units while decoding. FORMAT.md makes this form normative, in f64 and in this order
+    /// of operations. Another form, such as `keypoints::lerp` in f32, would predict other codes and so misread the
+    /// symbols.
     fn at(&self, unit: usize, channel: usize, time: u16) -> f64 {
         let (times, codes) = self.unit(unit);
         let code = |k: usize| f64::from(codes[k * self.channels + channel]);
@@ -98,13 +99,13 @@ impl UnitTracks {
     }
 }
 
-/// How a code is predicted from the code before it.
+/// Prediction of a code from the preceding codes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub(super) enum Motion {
-    /// The code before.
+    /// The preceding code.
     Still = 0,
-    /// The code before plus the change of the neighbour's code.
+    /// The preceding code plus the change of the neighbour's code.
     Neighbor = 1,
     /// Linear extrapolation from the two keypoints before.
     Line = 2,
@@ -116,50 +117,50 @@ impl Motion {
     pub(super) const ALL: [Self; 4] = [Self::Still, Self::Neighbor, Self::Line, Self::Mean];
 }
 
-/// The keypoints that one section holds: one attribute, one layer, one segment.
+/// The keypoints in one section: one attribute, one layer, one segment.
 pub(super) struct Scope<'a> {
     pub(super) plan: &'a Plan,
     pub(super) shared: &'a Shared,
     pub(super) attribute: Attribute,
-    /// Gaussians.
+    /// Gaussians of the layer.
     pub(super) layer: Range<usize>,
-    /// Timesteps, counted from the first of the cohort.
+    /// Timesteps of the segment, counted from the first of the cohort.
     pub(super) span: Range<usize>,
-    /// Timesteps of the cohort.
+    /// Number of timesteps of the cohort.
     pub(super) num_timesteps: usize,
     /// Budget for the memory of keypoints.
     pub(super) budget: &'a Budget,
 }
 
-/// Why keypoints cannot be decoded.
+/// The reason why keypoints cannot be decoded.
 #[derive(Debug)]
 pub(super) enum Problem {
-    /// There are not enough bytes, or they say what cannot be.
+    /// The bytes end early or contradict the format.
     Damaged,
-    /// More keypoints than allowed.
+    /// More keypoints than the limits allow.
     TooMany(DecodeError),
 }
 
-/// Contexts by time to the keypoint before, in powers of two.
+/// Number of contexts by time since the preceding keypoint, in powers of two.
 const NUM_GAPS: usize = 4;
-/// Contexts by size of the difference before, in powers of two.
+/// Number of contexts by size of the preceding difference, in powers of two.
 const NUM_SIZES: usize = 6;
-/// Contexts by number of inner keypoints.
+/// Number of contexts by number of inner keypoints.
 const NUM_COUNTS: usize = 6;
-/// Contexts of a gap by the share of timesteps that are keypoints.
+/// Number of contexts of a gap by the share of timesteps that are keypoints.
 const NUM_DENSITIES: usize = 8;
-/// Symbol of a unit that stays as it is.
+/// Symbol of a unit that is constant within the segment.
 const HELD: u32 = 0;
-/// Symbol of many inner keypoints.
+/// Symbol of 14 or more inner keypoints.
 const MANY: u32 = 15;
 
 /// Models of an attribute's keypoints.
 #[derive(Clone)]
 pub(super) struct KeypointModels {
-    /// Contexts are for the widths that have quantizers: which of them a width is.
+    /// Index of each width among the widths that have quantizers; contexts use it.
     place_of_width: [usize; 17],
     num_widths: usize,
-    /// Number of inner keypoints and one, or [`HELD`].
+    /// Number of inner keypoints plus one, or [`HELD`].
     counts: Vec<SymbolModel>,
     more: Numbers,
     before: Numbers,
@@ -191,10 +192,10 @@ impl KeypointModels {
         channel * self.num_widths + self.place_of_width[usize::from(width)]
     }
 
-    /// Codes the keypoints of all units of a layer that move.
+    /// Codes the keypoints of all moving units of a layer.
     ///
-    /// - `source`: what to encode; all tracks of the attribute over all timesteps
-    /// - `out`: the units of the layers before, to which those of this layer are added
+    /// - `source`: when encoding, all tracks of the attribute over all timesteps
+    /// - `out`: the units of the layers before; the units of this layer are appended
     pub(super) fn code<C: Coder>(
         &mut self,
         coder: &mut C,
@@ -286,7 +287,7 @@ impl KeypointModels {
             if symbol == MANY {
                 inner += self.more.code(coder, 0, inner_of_source.wrapping_sub(inner) as u32) as usize;
             }
-            // Timesteps strictly inside that are free.
+            // Number of free timesteps strictly inside.
             let mut free = last.saturating_sub(first + 1);
             if inner > free {
                 return Err(Problem::Damaged);
@@ -328,7 +329,7 @@ impl KeypointModels {
         Ok(inner)
     }
 
-    /// The code of every channel at a unit's first keypoint, whose time is known.
+    /// Codes every channel at a unit's first keypoint, whose time is known.
     fn code_start<C: Coder>(&mut self, coder: &mut C, unit: &Unit<'_>, out: &mut UnitTracks) {
         let place = unit.place;
         let a = place.attribute.index();
@@ -356,9 +357,9 @@ impl KeypointModels {
         }
     }
 
-    /// The codes at all keypoints but the first, whose times are known.
+    /// Codes all keypoints but the first; their times are known.
     ///
-    /// - `start`: index of the first
+    /// - `start`: index of the first keypoint
     fn code_later<C: Coder>(&mut self, coder: &mut C, unit: &Unit<'_>, start: usize, out: &mut UnitTracks) {
         let channels = out.channels;
         let width = unit.width();
@@ -404,12 +405,12 @@ fn size_of_difference(zigzag: u32) -> usize {
     ((zigzag + 1).ilog2() as usize).min(NUM_SIZES - 1)
 }
 
-/// Nearest integer, halves upwards; far less than 31 bits.
+/// Nearest integer, halves upwards; clamped to ±10⁶.
 fn rounded(shift: f64) -> i32 {
     floor((shift + 0.5).clamp(-1e6, 1e6))
 }
 
-/// A unit that is being coded, and what its codes are predicted from.
+/// A unit being coded, and the inputs of its prediction.
 struct Unit<'a> {
     place: &'a Scope<'a>,
     /// Timesteps of the segment at which its Gaussian lives.
@@ -420,9 +421,9 @@ struct Unit<'a> {
     death: usize,
     motion: Motion,
     gaussian: usize,
-    /// First channel.
+    /// First channel of the unit.
     channel: usize,
-    /// Its neighbour that moves: Gaussian and unit.
+    /// The nearest neighbour that moves: Gaussian and unit.
     neighbor: Option<(usize, usize)>,
     source: Option<UnitKeypoints<'a>>,
 }
@@ -432,7 +433,7 @@ impl Unit<'_> {
         self.place.shared.bit_map.widths[self.place.attribute.index()][self.gaussian]
     }
 
-    /// A difference between codes of another Gaussian, in steps of this one.
+    /// Converts a difference between codes of another Gaussian to steps of this one.
     fn scaled(&self, other: usize, channel: usize, difference: f64) -> f64 {
         let widths = &self.place.shared.bit_map.widths[self.place.attribute.index()];
         if widths[other] == self.width() {
@@ -449,13 +450,13 @@ impl Unit<'_> {
 /// Keypoints to encode.
 struct UnitKeypoints<'a> {
     times: &'a [u16],
-    /// By channel.
+    /// Codes by channel.
     codes: [&'a [i16]; MAX_COMPONENTS],
 }
 
 impl<'a> UnitKeypoints<'a> {
-    /// What a span needs of the tracks from `track` on: from the last keypoint at or before its first
-    /// timestep to the first at or after its last.
+    /// The part of the tracks from `track` on that a span needs: from the last keypoint at or before its first timestep
+    /// to the first keypoint at or after its last.
     fn new(tracks: &'a Tracks<i16>, track: usize, span: &Range<usize>) -> Self {
         let (times, _) = tracks.track(track);
         let first = times.partition_point(|&t| usize::from(t) <= span.start) - 1;

@@ -1,8 +1,8 @@
-//! The `.tcgs` format (`docs/FORMAT.md`), versions 1 and 2: lossless conversion between compact scenes and the bytes of a
-//! file. Both versions code symbols alike; they differ in their containers and in what these may hold.
+//! The `.tcgs` format (`docs/FORMAT.md`), versions 1 and 2: lossless conversion between compact scenes and the bytes of
+//! a file. Both versions code symbols alike; they differ in their containers and in what these may hold.
 //!
-//! - `container`, `section`: where sections lie in a file, checksums; a cursor over the fields of a section
-//! - `head`, `plan`: what describes a scene, and what describes a cohort of its Gaussians
+//! - `container`, `section`: positions of sections in a file, checksums; a cursor over the fields of a section
+//! - `head`, `plan`: descriptions of a scene, and of a cohort of its Gaussians
 //! - `coder`, `number`: adaptive entropy coding (rANS) of symbols and numbers
 //! - `neighbors`, `shared`: the shared layers: widths and first codes, predicted from Gaussians nearby
 //! - `keypoints`: the sections of segments: times and codes of keypoints, predicted from earlier and neighbouring
@@ -46,5 +46,5 @@ pub use inspect::{CohortInfo, Contents, FileInfo, SectionInfo, application_data,
 pub use push::{Decoder, Event};
 pub use segment::{Keypoints, Sampler, Segment};
 
-/// The newest version of the format that this crate writes and reads; it reads and writes all before, too.
+/// The newest version of the format that this crate writes and reads; it also reads and writes all older versions.
 pub const FORMAT_VERSION: u16 = 2;

@@ -1,29 +1,29 @@
-//! For every Gaussian the two nearest of the Gaussians decoded before (`docs/FORMAT.md`, "Neighbours"), from which
-//! first codes and keypoints are predicted.
+//! The two nearest neighbours of every Gaussian among those decoded before it (`docs/FORMAT.md`, "Neighbours"). First
+//! codes and keypoints are predicted from them.
 
 use std::ops::Range;
 
 use crate::morton;
 
-/// No Gaussian.
+/// Marks a missing neighbour.
 pub(super) const NONE: u32 = u32::MAX;
 
-/// Before a Gaussian in its layer and around it along the curve in the layers before: so many each.
+/// Number of candidates before a Gaussian in its layer, and on either side of it along the curve in the layers before.
 const REACH: usize = 4;
 
-/// For every Gaussian the two nearest of a few that precede it in the file.
+/// The two nearest neighbours of every Gaussian among a few candidates that precede it in the file.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Neighbors {
     /// `[N][2]`, nearest first; [`NONE`] where there are fewer.
     nearest: Vec<[u32; 2]>,
     /// First positions as 16-bit coordinates.
     points: Vec<[u16; 3]>,
-    /// All so far along the curve.
+    /// Curve key and index of all Gaussians of the layers before, sorted.
     along_curve: Vec<(u64, u32)>,
 }
 
 impl Neighbors {
-    /// Memory that a Gaussian takes.
+    /// Memory per Gaussian, bytes.
     pub(super) const BYTES_PER_GAUSSIAN: usize =
         size_of::<[u32; 2]>() + size_of::<[u16; 3]>() + size_of::<(u64, u32)>();
 
@@ -31,7 +31,7 @@ impl Neighbors {
         self.nearest[gaussian]
     }
 
-    /// Adds the Gaussians of a layer, which follow those there are.
+    /// Adds the Gaussians of the next layer.
     pub(super) fn extend(&mut self, points: impl Iterator<Item = [u16; 3]>) {
         let start = self.points.len();
         self.points.extend(points);

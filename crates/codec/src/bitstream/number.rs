@@ -3,20 +3,20 @@
 
 use super::coder::{Coder, SymbolModel};
 
-/// Below this a number is its own symbol.
+/// Numbers below this are their own symbols.
 const DIRECT: u32 = 8;
-/// First symbol of numbers from 64, which has a second one: the exponent.
+/// Symbol of all numbers from 64 on; a second symbol gives the exponent.
 const LARGE: u32 = 14;
 
-/// Numbers in `[0, 2^16)` of which small ones are likely: a symbol for the number or its magnitude, then
+/// Coder of numbers in `[0, 2^16)` that are mostly small. A symbol gives the number or its magnitude; then follow the
 /// bits within the magnitude, of which the leading ones are modelled.
 #[derive(Clone, Debug)]
 pub(super) struct Numbers {
-    /// By context.
+    /// Models by context.
     symbols: Vec<SymbolModel>,
-    /// Exponents of large numbers, less 6.
+    /// Exponents of large numbers, minus 6.
     exponents: SymbolModel,
-    /// By number of bits: the highest three or fewer.
+    /// The highest three bits or fewer, by number of bits.
     leading: Vec<SymbolModel>,
 }
 
@@ -28,7 +28,7 @@ impl Numbers {
 
     #[inline(always)]
     pub(super) fn code<C: Coder>(&mut self, coder: &mut C, context: usize, number: u32) -> u32 {
-        // What decodes has no number yet; the symbol says which.
+        // A decoder has no number yet: its symbol comes from the bytes.
         let symbol = coder.symbol(&mut self.symbols[context], symbol_of(number));
         if symbol < DIRECT {
             return symbol;
@@ -60,7 +60,7 @@ fn symbol_of(number: u32) -> u32 {
     }
 }
 
-/// Signed numbers: 0, -1, 1, -2, 2, ... as 0, 1, 2, 3, 4, ...
+/// Maps signed to unsigned numbers: 0, -1, 1, -2, 2, ... to 0, 1, 2, 3, 4, ...
 #[inline(always)]
 pub(super) fn zigzag(x: i32) -> u32 {
     ((x << 1) ^ (x >> 31)) as u32
@@ -72,34 +72,34 @@ pub(super) fn unzigzag(z: u32) -> i32 {
     (z >> 1) as i32 ^ -((z & 1) as i32)
 }
 
-/// The number in `[-2^(width-1), 2^(width-1))` that is equal modulo `2^width`.
+/// The number in `[-2^(width-1), 2^(width-1))` that is congruent to `x` modulo `2^width`.
 #[inline(always)]
 pub(super) fn wrap(x: i32, width: u8) -> i32 {
     let unused = 32 - u32::from(width);
     (x << unused) >> unused
 }
 
-/// The largest integer not above `x`, which lies within 31 bits; `f64::floor` is a call where the processor's oldest
-/// relatives have no instruction for it.
+/// The largest integer not above `x`, which lies within 31 bits. `f64::floor` is a function call for target processors
+/// without an instruction for it.
 #[inline(always)]
 pub(super) fn floor(x: f64) -> i32 {
     let toward_zero = x as i32;
     toward_zero - i32::from(f64::from(toward_zero) > x)
 }
 
-/// Codes of 1 to 16 bits that have no reason to be near their prediction: the four highest bits, then four
-/// more, then the rest.
+/// Coder of codes of 1 to 16 bits that need not be near their prediction: the four highest bits, then four more, then
+/// the rest.
 #[derive(Clone, Debug)]
 pub(super) struct Codes {
-    /// By context.
+    /// Models by context.
     high: Vec<SymbolModel>,
-    /// By context's class and highest bits.
+    /// Models by class of context and highest bits.
     middle: Vec<SymbolModel>,
     contexts_per_class: usize,
 }
 
 impl Codes {
-    /// - `contexts_per_class`: so many contexts that follow each other share the models of lower bits
+    /// - `contexts_per_class`: number of consecutive contexts that share the models of lower bits
     pub(super) fn new(num_contexts: usize, contexts_per_class: usize) -> Self {
         Self {
             high: vec![SymbolModel::new(16); num_contexts],
@@ -108,7 +108,7 @@ impl Codes {
         }
     }
 
-    /// - `code`: plus `2^(width-1)`
+    /// - `code`: shifted by `2^(width-1)`, so not negative
     #[inline(always)]
     pub(super) fn code<C: Coder>(&mut self, coder: &mut C, context: usize, width: u8, code: u32) -> u32 {
         let width = u32::from(width);

@@ -1,5 +1,5 @@
-//! The plan of a cohort (`docs/FORMAT.md`, "Plan"): which attributes its Gaussians have, and how their tracks are
-//! described, the same for all layers and segments.
+//! The plan of a cohort (`docs/FORMAT.md`, "Plan"): the attributes of its Gaussians, and the coding of their tracks. It
+//! holds for all layers and segments.
 
 use std::sync::Arc;
 
@@ -11,18 +11,18 @@ use super::section::{Cursor, SKIPPED, Tag, of_attribute};
 use crate::error::{DecodeError, NEWER};
 use crate::quantize::{Quantizer, Quantizers};
 
-/// Most components of an attribute.
+/// Largest number of components of an attribute.
 pub(super) const MAX_COMPONENTS: usize = 32;
-/// Components before that an attribute beyond [`Attribute::BASE`] is predicted from.
+/// Number of preceding components from which an attribute beyond [`Attribute::BASE`] is predicted.
 pub(super) const RECENT: usize = 3;
-/// Interpolation between keypoints; only linear is known.
+/// Interpolation between keypoints; linear is the only known kind.
 const LINEAR: u8 = 0;
-/// Flags of an attribute below its coding: it varies, is joint, may be lacking, is optional.
+/// Number of flag bits of an attribute below its coding: it varies, is joint, may be lacking, is optional.
 const NUM_FLAGS: u8 = 4;
-/// The only coding that is known: codes of tracks, with quantizers and predictors in the plan.
+/// The only known coding: codes of tracks, with quantizers and predictors in the plan.
 const OF_TRACKS: u8 = 0;
 
-/// How the tracks of a cohort are described, the same for all layers.
+/// Coding of the tracks of a cohort, the same for all layers.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Plan {
     pub(super) layout: Arc<Layout>,
@@ -30,23 +30,23 @@ pub(super) struct Plan {
     pub(super) varies: Vec<bool>,
     /// By attribute: whether its components share their keypoint times.
     pub(super) joint: Vec<bool>,
-    /// By attribute: whether some Gaussians lack it; the width of what is lacking is 0.
+    /// By attribute: whether some Gaussians lack it; a lacking attribute has width 0.
     pub(super) sparse: Vec<bool>,
     pub(super) quantizers: Quantizers,
-    /// By attribute: how first codes are predicted; none of means.
+    /// By attribute: predictors of first codes; empty for means.
     pub(super) predictors: Vec<Vec<Predictor>>,
-    /// Optional attributes of codings that are not known, by ascending place.
+    /// Optional attributes of unknown codings, by ascending place.
     pub(super) skipped: Vec<Skipped>,
 }
 
-/// An optional attribute of a coding that this decoder does not know: its sections are passed over.
+/// An optional attribute whose coding this decoder does not know; its sections are skipped.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Skipped {
     /// Place in the list of attributes of the file.
     pub(super) place: usize,
     pub(super) name: String,
     pub(super) unit: String,
-    /// Components, activation and coding, as the file has them.
+    /// Bytes of components, activation and coding in the file.
     pub(super) described: [u8; 3],
     /// Whether it has sections in segments.
     pub(super) varies: bool,
@@ -66,7 +66,7 @@ pub(super) enum Listed<'a> {
 }
 
 impl Listed<'_> {
-    /// Tag of its sections.
+    /// Tag of the attribute's sections.
     pub(super) fn tag(&self) -> Tag {
         match self {
             Self::Known(attribute) => of_attribute(*attribute),
@@ -76,7 +76,7 @@ impl Listed<'_> {
 }
 
 impl Plan {
-    /// A plan of attributes of which none varies, without quantizers.
+    /// A plan without quantizers in which no attribute varies.
     pub(super) fn new(layout: Arc<Layout>) -> Self {
         let num_columns = layout.columns().len();
         Self {
@@ -90,7 +90,7 @@ impl Plan {
         }
     }
 
-    /// All attributes in the order of the file, also those that are skipped.
+    /// All attributes in the order of the file, including skipped ones.
     pub(super) fn listed(&self) -> impl Iterator<Item = Listed<'_>> {
         let (mut known, mut skipped) = (self.layout.attributes(), self.skipped.iter().peekable());
         (0..self.num_listed()).map(move |place| match skipped.next_if(|skipped| skipped.place == place) {
@@ -104,7 +104,7 @@ impl Plan {
         self.layout.columns().len() + self.skipped.len()
     }
 
-    /// Those of [`Self::listed`] that have sections in segments.
+    /// The attributes of [`Self::listed`] that have sections in segments.
     pub(super) fn listed_varying(&self) -> impl Iterator<Item = Listed<'_>> {
         self.listed().filter(|listed| match listed {
             Listed::Known(attribute) => self.varies[attribute.index()],
@@ -125,12 +125,12 @@ impl Plan {
         self.layout.attributes().filter(|a| self.varies[a.index()])
     }
 
-    /// Components of a unit of an attribute: those that share their times.
+    /// Number of components of a unit of an attribute: those that share their times.
     pub(super) fn channels(&self, attribute: Attribute) -> usize {
         if self.joint[attribute.index()] { attribute.components() } else { 1 }
     }
 
-    /// Memory that a Gaussian takes in what all segments share.
+    /// Memory per Gaussian of the shared layers, bytes.
     pub(super) fn bytes_per_gaussian(&self) -> usize {
         let attributes = self.layout.attributes().map(|attribute| {
             let components = attribute.components();
@@ -142,7 +142,7 @@ impl Plan {
     }
 }
 
-/// How the first codes of a component are coded.
+/// Prediction of the first codes of a component.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Predictor {
     pub(super) mode: Mode,
@@ -158,7 +158,7 @@ pub(super) enum Mode {
     Code = 0,
     /// The difference to its prediction.
     Difference = 1,
-    /// The code, in the context of the length that the components before leave of one.
+    /// The code, in the context of `sqrt(1 - Σ x²)` over the components before: the length left in a unit vector.
     Length = 2,
 }
 
@@ -174,7 +174,7 @@ pub(super) fn num_weights(attribute: Attribute, channel: usize) -> usize {
     }
 }
 
-/// The plan of a file of version 1, which has the attributes of [`Attribute::BASE`].
+/// Writes the plan of a file of version 1, which has the attributes of [`Attribute::BASE`].
 pub(super) fn write_plan_1(plan: &Plan) -> Vec<u8> {
     let bits = |flags: &[bool]| flags.iter().enumerate().map(|(a, &flag)| u8::from(flag) << a).sum();
     let mut bytes = vec![bits(&plan.varies), bits(&plan.joint)];
@@ -182,7 +182,7 @@ pub(super) fn write_plan_1(plan: &Plan) -> Vec<u8> {
     bytes
 }
 
-/// The plan of a cohort of version 2.
+/// Writes the plan of a cohort of version 2.
 pub(super) fn write_plan_2(plan: &Plan) -> Vec<u8> {
     let mut bytes = vec![plan.layout.columns().len() as u8];
     for column in plan.layout.columns() {
@@ -198,7 +198,7 @@ pub(super) fn write_plan_2(plan: &Plan) -> Vec<u8> {
     bytes
 }
 
-/// Quantizers and predictors of an attribute.
+/// Writes quantizers and predictors of an attribute.
 fn write_attribute(bytes: &mut Vec<u8>, plan: &Plan, attribute: Attribute) {
     let a = attribute.index();
     bytes.push(LINEAR);
@@ -218,7 +218,7 @@ fn write_attribute(bytes: &mut Vec<u8>, plan: &Plan, attribute: Attribute) {
     }
 }
 
-/// The plan of a file of version 1.
+/// Reads the plan of a file of version 1.
 pub(super) fn read_plan_1(mut cursor: Cursor<'_>) -> Result<Plan, DecodeError> {
     let mut plan = Plan::new(Layout::base());
     let mut flags = |field| {
@@ -237,7 +237,7 @@ pub(super) fn read_plan_1(mut cursor: Cursor<'_>) -> Result<Plan, DecodeError> {
     Ok(plan)
 }
 
-/// The plan of a cohort of version 2.
+/// Reads the plan of a cohort of version 2.
 pub(super) fn read_plan_2(cursor: &mut Cursor<'_>) -> Result<Plan, DecodeError> {
     let num_listed = usize::from(cursor.u8("number of attributes")?);
     let mut layout = Layout::default();
@@ -282,7 +282,7 @@ pub(super) fn read_plan_2(cursor: &mut Cursor<'_>) -> Result<Plan, DecodeError> 
                 if !(1..=MAX_COMPONENTS).contains(&components) {
                     return Err(cursor.invalid("components", "not within 1 to 32"));
                 }
-                // Whether it varies is the plan's, and may differ between cohorts.
+                // Whether the attribute varies is a property of the plan, and may differ between cohorts.
                 let column = Column { activation, unit, varies: false, ..Column::like(Attribute::Color) };
                 layout.push(&name, components, column)
             }
@@ -302,7 +302,7 @@ pub(super) fn read_plan_2(cursor: &mut Cursor<'_>) -> Result<Plan, DecodeError> 
     Ok(plan)
 }
 
-/// Quantizers and predictors of an attribute.
+/// Reads quantizers and predictors of an attribute.
 fn read_attribute(cursor: &mut Cursor<'_>, plan: &mut Plan, attribute: Attribute) -> Result<(), DecodeError> {
     let (a, components) = (attribute.index(), attribute.components());
     if cursor.u8("interpolation")? != LINEAR {

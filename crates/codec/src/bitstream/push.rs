@@ -12,21 +12,20 @@ use super::segment::Segment;
 use crate::error::DecodeError;
 use crate::limits::DecodeLimits;
 
-/// A part of the file that the bytes given to [`Decoder::push`] completed. The header comes first, of each cohort the
-/// layers before the segments, and the end last.
+/// A part of the file that the bytes given to [`Decoder::push`] completed. The header comes first, the layers of each
+/// cohort before its segments, and the end last.
 #[derive(Debug)]
 pub enum Event {
-    /// What describes the scene: [`Decoder::archive`] is available from now on.
+    /// The description of the scene has arrived: [`Decoder::archive`] is available.
     Header,
     /// One more shared layer of a cohort.
     Layer {
-        /// Which cohort.
+        /// Index of the cohort.
         cohort: usize,
         /// Number of its shared layers so far.
         layers: usize,
     },
-    /// A segment with the layers that arrived so far. A segment comes once for each of its layers, each time with one
-    /// layer more.
+    /// A segment with the layers that have arrived. Each segment comes once per layer, each time with one more layer.
     Segment(Box<Segment>),
     /// The file is complete.
     End,
@@ -56,17 +55,17 @@ pub enum Event {
 /// ```
 pub struct Decoder {
     limits: DecodeLimits,
-    /// Bytes from `offset` of the file that were not yet decoded.
+    /// Bytes from `offset` of the file that are not yet decoded.
     bytes: Vec<u8>,
     offset: u64,
     /// Number of bytes from the start of the file that the next step needs.
     needed: u64,
     archive: Option<Box<Archive>>,
-    /// Those of which parts are to come.
+    /// Open cohorts with parts still to come.
     cohorts: BTreeMap<usize, Cohort>,
-    /// What is known to come: by its offset, cohort, and which part of the cohort.
+    /// Parts still to come: offset, cohort, and part of the cohort.
     parts: BTreeSet<(u64, usize, Part)>,
-    /// Reader of the segment of which some layers were decoded.
+    /// Reader of a segment whose layers are decoded in part.
     reader: Option<SegmentReader>,
     finished: bool,
 }
@@ -99,7 +98,7 @@ impl Decoder {
 
     /// Decodes the parts of the file that the next bytes complete.
     ///
-    /// - `bytes`: the bytes of the file that follow those of the call before, any number
+    /// - `bytes`: the next bytes of the file, any number
     /// - returns: the parts, in the order of the file; none if `bytes` complete no part
     ///
     /// # Errors
@@ -109,7 +108,7 @@ impl Decoder {
         let mut events = Vec::new();
         self.bytes.extend_from_slice(bytes);
         if self.archive.is_none() {
-            // What is no such file is refused as soon as it can be told.
+            // Refuses other files at the first wrong byte of the header.
             container::length_of_header(&self.bytes)?;
         }
         while !self.finished && self.offset + self.bytes.len() as u64 >= self.needed {
@@ -123,17 +122,17 @@ impl Decoder {
         Ok(events)
     }
 
-    /// What the start of the file says; none before [`Event::Header`].
+    /// The archive from the start of the file; `None` before [`Event::Header`].
     pub fn archive(&self) -> Option<&Archive> {
         self.archive.as_deref()
     }
 
-    /// Whether all bytes of the file have arrived: [`Event::End`] was returned.
+    /// Whether all bytes of the file have arrived and [`Event::End`] was returned.
     pub fn is_finished(&self) -> bool {
         self.finished
     }
 
-    /// Decodes the next part of the file, if its bytes have arrived.
+    /// Decodes the next part of the file if its bytes have arrived.
     ///
     /// - returns: false if more bytes are needed
     fn step(&mut self, events: &mut Vec<Event>) -> Result<bool, DecodeError> {
@@ -167,7 +166,7 @@ impl Decoder {
             Part::Head => archive.head_range(index),
             Part::Group(group) => self.cohorts[&index].range_of(group..group + 1),
         };
-        // Nothing keeps the parts of a wrong file apart.
+        // The parts of an invalid file may overlap.
         if !range.is_empty() && range.start < self.offset {
             return Err(end_of_file(self.offset, "parts overlap"));
         }
@@ -179,7 +178,7 @@ impl Decoder {
                 for group in 0..cohort.num_groups() {
                     self.parts.insert((cohort.range_of(group..group + 1).start, index, Part::Group(group)));
                 }
-                // A cohort without Gaussians has no layers to send its segments with.
+                // A cohort without Gaussians has no layers, so no group would produce its segments.
                 for segment in 0..if cohort.num_layers() == 0 { cohort.num_segments() } else { 0 } {
                     events.push(Event::Segment(Box::new(cohort.read_segment(segment, &[])?)));
                 }
@@ -218,7 +217,7 @@ impl Decoder {
         Ok(true)
     }
 
-    /// Forgets the bytes before `end`.
+    /// Drops the bytes before `end`.
     fn drain(&mut self, end: u64) {
         let end = end.max(self.offset);
         self.bytes.drain(..(end - self.offset) as usize);

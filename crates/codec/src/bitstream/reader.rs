@@ -16,7 +16,7 @@ use crate::error::{DecodeError, NEWER};
 use crate::limits::Budget;
 use crate::parallel;
 
-/// Models that go on from layer to layer.
+/// Models that continue from layer to layer.
 #[derive(Clone, Debug)]
 pub(super) struct SharedModels {
     maps: MapModels,
@@ -54,7 +54,7 @@ impl SharedModels {
         complete(&decoder, &cursor)?;
         for attribute in plan.layout.attributes() {
             let (a, known) = (attribute.index(), plan.quantizers.by_width(attribute));
-            // What a Gaussian lacks has the width 0.
+            // An attribute that a Gaussian lacks has the width 0.
             let is_known = |&width: &u8| width == 0 || !known[usize::from(width)].is_empty();
             if !shared.bit_map.widths[a][layer.clone()].iter().all(is_known) {
                 return Err(cursor.invalid("bit widths", "a width without quantizers"));
@@ -89,7 +89,7 @@ fn complete(decoder: &SymbolDecoder<'_>, cursor: &Cursor<'_>) -> Result<(), Deco
 pub(super) struct SegmentReader {
     segment: usize,
     layers: usize,
-    /// By attribute; those of attributes that do not vary stay empty.
+    /// The attributes that vary, with their models and units.
     attributes: Vec<(Attribute, KeypointModels, UnitTracks)>,
 }
 
@@ -103,7 +103,7 @@ impl SegmentReader {
 
     /// Reads the next layer.
     ///
-    /// - `bytes`: from `offset` of the file
+    /// - `bytes`: start at `offset` of the file
     pub(super) fn read(
         &mut self,
         cohort: &Cohort,
@@ -139,14 +139,14 @@ impl SegmentReader {
         results.into_iter().collect()
     }
 
-    /// The segment of the layers read so far.
+    /// The segment with the layers read so far.
     pub(super) fn finish(self, cohort: &Cohort) -> Segment {
         let (segment, layers) = (self.segment, self.layers);
         let units = self.attributes.into_iter().map(|(attribute, _, units)| (attribute, units));
         segment_of(cohort, segment, layers, units)
     }
 
-    /// A copy of the segment of the layers read so far.
+    /// A copy of the segment with the layers read so far.
     pub(super) fn snapshot(&self, cohort: &Cohort) -> Result<Segment, DecodeError> {
         let bytes: usize = self.attributes.iter().map(|(_, _, units)| units.bytes()).sum();
         cohort.budget().reserve("segment", bytes as u64, 1)?;

@@ -11,18 +11,18 @@ pub(super) type Tag = [u8; 4];
 
 /// Counts and provenance.
 pub(super) const INFO: Tag = *b"INFO";
-/// Cohorts: when they live and where they lie.
+/// Timesteps and positions of the cohorts.
 pub(super) const COHORTS: Tag = *b"COHO";
-/// How tracks are described: quantizers, predictors.
+/// Coding of the tracks: quantizers, predictors.
 pub(super) const PLAN: Tag = *b"PLAN";
-/// Bit widths, and which tracks move.
+/// Bit widths, and flags of the tracks that move.
 pub(super) const MAPS: Tag = *b"MAPS";
-/// Data of an application.
+/// Application data.
 pub(super) const APPLICATION: Tag = *b"appl";
-/// Segment of a section that belongs to none.
+/// Segment number of a section that belongs to no segment.
 pub(super) const SHARED: u16 = u16::MAX;
 
-/// Codes of an attribute: in a layer that all segments share the first ones, in a segment its keypoints.
+/// Tag of the codes of an attribute: first codes in a shared layer, keypoints in a segment.
 pub(super) fn of_attribute(attribute: Attribute) -> Tag {
     match attribute {
         Attribute::Mean => *b"MEAN",
@@ -34,7 +34,7 @@ pub(super) fn of_attribute(attribute: Attribute) -> Tag {
     }
 }
 
-/// Content of an attribute that is skipped. In a head there are no tags: this one is for the table of its sections.
+/// Content of a skipped attribute. A head stores no tags; this one serves the table of its sections.
 pub(super) const SKIPPED: Tag = *b"skip";
 
 /// Name of a section in messages.
@@ -57,18 +57,18 @@ pub(super) struct Entry {
     pub(super) tag: Tag,
     pub(super) segment: u16,
     pub(super) layer: u16,
-    /// In the file.
+    /// Byte range in the file.
     pub(super) range: Range<u64>,
     pub(super) checksum: u32,
 }
 
 impl Entry {
-    /// Whether a reader that does not know it may go on without it.
+    /// Whether a reader that does not know the section may skip it.
     pub(super) fn is_optional(&self) -> bool {
         self.tag[0] & 0x20 != 0
     }
 
-    /// The fields of the section, if it is undamaged.
+    /// The fields of the section; fails if it is damaged.
     pub(super) fn open<'a>(&self, bytes: &'a [u8]) -> Result<Cursor<'a>, DecodeError> {
         let cursor = Cursor::new(name(self.tag), self.range.start, bytes);
         let undamaged = cfg!(fuzzing) || crc32fast::hash(bytes) == self.checksum;
@@ -76,7 +76,7 @@ impl Entry {
     }
 }
 
-/// Reads fields from the bytes of one section; never past its end.
+/// Reads fields from the bytes of one section, never past its end.
 pub(super) struct Cursor<'a> {
     section: &'static str,
     /// Offset of the section in the file.
@@ -95,7 +95,7 @@ impl<'a> Cursor<'a> {
         DecodeError::Format { section: self.section, field, offset: self.offset + self.position as u64, problem }
     }
 
-    /// Bytes read so far.
+    /// Number of bytes read so far.
     pub(super) fn position(&self) -> u64 {
         self.position as u64
     }
@@ -107,7 +107,7 @@ impl<'a> Cursor<'a> {
         Ok(taken)
     }
 
-    /// The bytes of the section that were not read yet.
+    /// The bytes of the section not yet read.
     pub(super) fn rest(&mut self) -> &'a [u8] {
         let rest = &self.bytes[self.position..];
         self.position = self.bytes.len();
@@ -151,7 +151,7 @@ impl<'a> Cursor<'a> {
         text.map(str::to_owned).map_err(|_| self.invalid(field, "not UTF-8"))
     }
 
-    /// Refuses a section with bytes left.
+    /// Refuses a section with unread bytes.
     pub(super) fn finish(self) -> Result<(), DecodeError> {
         if self.position == self.bytes.len() { Ok(()) } else { Err(self.invalid("end", "bytes are left over")) }
     }

@@ -13,7 +13,7 @@ use crate::compact::{SceneInfo, unit_quat};
 use crate::keypoints::{fraction, lerp, sample};
 use crate::quantize::Quantizers;
 
-/// A decoded segment: a span of timesteps, of all Gaussians of the scene or of those of the first layers.
+/// A decoded segment: a span of timesteps, with all Gaussians of the cohort or those of the first layers.
 ///
 /// The segment holds codes at keypoints. [`Self::at`] gives one timestep as floats, a [`Sampler`] many timesteps
 /// faster.
@@ -24,7 +24,7 @@ pub struct Segment {
     index: usize,
     num_layers: usize,
     num_gaussians: usize,
-    /// By attribute.
+    /// Units by attribute.
     tracks: Vec<UnitTracks>,
 }
 
@@ -81,13 +81,13 @@ impl Segment {
         &self.head.plan.layout
     }
 
-    /// `[N]` first and last timestep at which each Gaussian lives, counted from [`Self::start`]; none if all live in all
-    /// timesteps of the cohort.
+    /// `[N]` first and last timestep at which each Gaussian lives, counted from [`Self::start`]; `None` if all live in
+    /// all timesteps of the cohort.
     pub fn lives(&self) -> Option<&[[u16; 2]]> {
         self.shared.lives.as_ref().map(|lives| &lives[..self.num_gaussians])
     }
 
-    /// Indices of the Gaussians that live at a timestep of the scene, ascending; none if all live in all timesteps.
+    /// Indices of the Gaussians that live at a timestep of the scene, ascending; `None` if all live in all timesteps.
     ///
     /// # Panics
     /// If `timestep` is before [`Self::start`].
@@ -102,13 +102,13 @@ impl Segment {
         &self.tracks[attribute.index()]
     }
 
-    /// Quantizers of the scene, which give the float that a code stands for.
+    /// Quantizers of the scene, which convert codes to floats.
     pub fn quantizers(&self) -> &Quantizers {
         &self.head.plan.quantizers
     }
 
-    /// Keypoints of the moving units of an attribute, for callers that dequantise and interpolate on their own, such as
-    /// a renderer on a GPU. None if the attribute does not vary.
+    /// Keypoints of the moving units of an attribute, for callers that dequantise and interpolate themselves, such as a
+    /// renderer on a GPU. `None` if the attribute does not vary.
     pub fn keypoints(&self, attribute: Attribute) -> Option<Keypoints<'_>> {
         let tracks = &self.tracks[attribute.index()];
         self.head.plan.varies[attribute.index()].then(|| tracks.as_keypoints())
@@ -129,8 +129,8 @@ impl Segment {
         })
     }
 
-    /// Value of every track at its first keypoint, which lies where the Gaussian's life begins, in stored form.
-    /// Quaternions are not normalised; what a Gaussian lacks is 0.
+    /// Value of every track at its first keypoint, at the start of the Gaussian's life, in stored form. Quaternions are
+    /// not normalised; an attribute that a Gaussian lacks is 0.
     pub fn first(&self) -> Gaussians {
         let mut first = Gaussians::zeros_of(self.layout(), self.num_gaussians);
         for attribute in self.layout().attributes() {
@@ -148,9 +148,9 @@ impl Segment {
         first
     }
 
-    /// One timestep as floats, in stored form: the same values as [`crate::CompactScene::at`] gives for the Gaussians
-    /// of the decoded layers, whether they live at it ([`Self::alive`]) or not. Dequantises the whole segment at each call;
-    /// see [`Sampler`].
+    /// One timestep as floats, in stored form: the values of [`crate::CompactScene::at`] for the Gaussians of the
+    /// decoded layers, whether they live at it ([`Self::alive`]) or not. Dequantises the whole segment at each call; a
+    /// [`Sampler`] does so once.
     ///
     /// - `timestep`: timestep of the scene
     ///
@@ -175,23 +175,23 @@ impl Segment {
 pub struct Keypoints<'a> {
     /// Number of components of a unit.
     pub channels: usize,
-    /// `[units + 1]`; the keypoints of unit `i` are those of the indices `starts[i]..starts[i + 1]`: none of a Gaussian
-    /// that does not live in the segment.
+    /// `[units + 1]`; the keypoints of unit `i` have the indices `starts[i]..starts[i + 1]`. The range is empty if the
+    /// Gaussian does not live in the segment.
     pub starts: &'a [u32],
-    /// `[keypoints]` timesteps, counted from [`Segment::start`]. Those of one unit are strictly increasing; the first is at
-    /// or before the first timestep of the segment at which the Gaussian lives, the last at or after the last one.
+    /// `[keypoints]` timesteps, counted from [`Segment::start`], strictly increasing within a unit. The first is at or
+    /// before the first timestep of the segment at which the Gaussian lives, the last at or after the last one.
     pub times: &'a [u16],
     /// `[keypoints, channels]` codes.
     pub codes: &'a [i16],
 }
 
-/// Units of an attribute as floats.
+/// Moving units of an attribute as floats.
 struct Moving {
     attribute: Attribute,
     channels: usize,
     /// `[units]` index of the first value in [`Gaussians::values`].
     places: Vec<u32>,
-    /// `[units]` keypoint at or before the last timestep asked for.
+    /// `[units]` index of the keypoint at or before the timestep of the last call.
     cursors: Vec<u32>,
     /// `[units + 1]`
     starts: Vec<u32>,
@@ -202,8 +202,8 @@ struct Moving {
 
 /// A segment as floats, one timestep after another.
 ///
-/// The sampler dequantises all keypoints once. Each call of [`Self::at`] computes moving tracks only and starts its
-/// search for keypoints at those of the call before.
+/// The sampler dequantises all keypoints once. Each call of [`Self::at`] computes moving tracks only, and starts its
+/// search for keypoints at those of the last call.
 ///
 /// ```
 /// use tcgs_codec::{CompressSettings, DecodeLimits, Decoder, Event, Sampler, SceneInfo, encode};
@@ -232,7 +232,7 @@ pub struct Sampler {
     moving: Vec<Moving>,
     /// `[rotating]` Gaussians that rotate, if the components of quaternions are separate units; else empty.
     rotating: Vec<u32>,
-    /// `[N]` quaternions before they are normalised, if the components of quaternions are separate units; else empty.
+    /// `[N]` quaternions before normalisation, if the components of quaternions are separate units; else empty.
     raw_quats: Vec<[f32; 4]>,
 }
 
@@ -254,8 +254,8 @@ impl Sampler {
         Self { start: segment.start(), timesteps: segment.timesteps(), now, moving, rotating, raw_quats }
     }
 
-    /// One timestep as floats, in stored form: the same values as [`Segment::at`] gives. Fastest if successive calls
-    /// ask for successive timesteps.
+    /// One timestep as floats, in stored form: the values of [`Segment::at`]. Fastest if successive calls ask for
+    /// successive timesteps.
     ///
     /// # Panics
     /// If `timestep` is not within [`Segment::timesteps`].
@@ -308,7 +308,7 @@ impl Moving {
         of
     }
 
-    /// Writes the values of the moving units at a timestep, of any number of components.
+    /// Writes the values of the moving units at a timestep, for any number of components.
     ///
     /// - `timestep`: counted from the first of the cohort
     /// - `values`: `[N * components]` values of the attribute

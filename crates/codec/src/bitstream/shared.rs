@@ -1,5 +1,5 @@
-//! The shared layers (`docs/FORMAT.md`, "Shared layers"), which all segments need: widths, which tracks move, and the
-//! first code of every track.
+//! The shared layers (`docs/FORMAT.md`, "Shared layers"), which all segments need: widths, flags of moving tracks, and
+//! the first code of every track.
 
 use std::ops::Range;
 
@@ -13,26 +13,26 @@ use crate::bits::BitMap;
 use crate::morton;
 use crate::quantize::{MAX_BITS, Quantizer};
 
-/// First codes and what is needed to read them, of the layers so far.
+/// First codes of the layers read so far, and the data needed to decode them.
 #[derive(Clone, Debug)]
 pub(super) struct Shared {
-    /// The width of an attribute that a Gaussian lacks is 0.
+    /// Bit widths; 0 for an attribute that a Gaussian lacks.
     pub(super) bit_map: BitMap,
-    /// `[N]` first and last timestep at which a Gaussian lives; none if all live in all timesteps of the cohort.
+    /// `[N]` first and last timestep at which a Gaussian lives; `None` if all live in all timesteps of the cohort.
     pub(super) lives: Option<Vec<[u16; 2]>>,
     /// By attribute, `[N * components]`: whether a track has more than one keypoint.
     pub(super) moves: Vec<Vec<bool>>,
-    /// By attribute, `[N * components]`
+    /// By attribute, `[N * components]` first codes.
     pub(super) first_codes: Vec<Vec<i16>>,
-    /// By attribute, for each Gaussian, or for each of its tracks where components do not share their
-    /// times: which of the units that move it is; [`NONE`] if it does not.
+    /// By attribute: the index among the moving units, or [`NONE`] if the unit is constant. One entry for each
+    /// Gaussian, or for each of its tracks if components do not share their times.
     pub(super) units: Vec<Vec<u32>>,
     pub(super) num_units: Vec<u32>,
     pub(super) neighbors: Neighbors,
 }
 
 impl Shared {
-    /// No layers.
+    /// Creates the state before the first layer.
     ///
     /// - `has_lives`: whether Gaussians have first and last timesteps of their own
     pub(super) fn new(plan: &Plan, has_lives: bool) -> Self {
@@ -48,12 +48,12 @@ impl Shared {
         }
     }
 
-    /// Number of Gaussians of the layers that were read so far.
+    /// Number of Gaussians of the layers read so far.
     pub(super) fn num_gaussians(&self) -> usize {
         self.bit_map.num_gaussians()
     }
 
-    /// Extends all arrays to the Gaussians of a layer.
+    /// Extends all arrays by the Gaussians of a layer.
     pub(super) fn extend(&mut self, plan: &Plan, layer: &Range<usize>) {
         if let Some(lives) = &mut self.lives {
             lives.resize(layer.end, [0, 0]);
@@ -68,7 +68,7 @@ impl Shared {
         }
     }
 
-    /// Counts the units of a layer that move.
+    /// Numbers the moving units of a layer.
     pub(super) fn count_units(&mut self, plan: &Plan, layer: &Range<usize>) {
         for attribute in plan.layout.attributes() {
             let (a, components) = (attribute.index(), attribute.components());
@@ -83,12 +83,12 @@ impl Shared {
         }
     }
 
-    /// The nearest two of a Gaussian's neighbours.
+    /// The two nearest neighbours of a Gaussian.
     pub(super) fn neighbors(&self, gaussian: usize) -> [u32; 2] {
         self.neighbors.of(gaussian)
     }
 
-    /// First positions of a layer as 16-bit coordinates, whatever their widths.
+    /// First positions of a layer as 16-bit coordinates, independent of their widths.
     pub(super) fn points(&self, layer: Range<usize>) -> impl Iterator<Item = [u16; 3]> {
         let index = Attribute::Mean.index();
         layer.map(move |g| {
@@ -102,7 +102,7 @@ fn coordinate(code: i16, width: u8) -> u16 {
     ((i32::from(code) + (1 << (width - 1))) << (MAX_BITS - width)) as u16
 }
 
-/// Models of lives, widths and of which tracks move.
+/// Models of lives, widths and flags of moving tracks.
 #[derive(Clone, Debug)]
 pub(super) struct MapModels {
     /// First timesteps of lives.
@@ -113,7 +113,7 @@ pub(super) struct MapModels {
     present: Vec<SymbolModel>,
     widths: Vec<SymbolModel>,
     moves: Vec<SymbolModel>,
-    /// Most components of an attribute that varies.
+    /// Largest number of components of an attribute that varies.
     components: usize,
 }
 
@@ -131,7 +131,7 @@ impl MapModels {
         }
     }
 
-    /// Codes lives, widths and moves of a layer in place; their arrays reach to its end.
+    /// Codes lives, widths and moves of a layer in place; the arrays already include the layer.
     ///
     /// - `num_timesteps`: of the cohort
     /// - returns: whether all lives lie within the cohort
@@ -143,7 +143,7 @@ impl MapModels {
         layer: Range<usize>,
         shared: &mut Shared,
     ) -> bool {
-        // What decodes has ones that the layout of a file allows for.
+        // A decoder has already refused `num_timesteps` 0.
         let last = (num_timesteps - 1) as u32;
         for g in layer {
             if coder.exhausted() {
@@ -204,12 +204,12 @@ impl MapModels {
     }
 }
 
-/// Models of first positions, as steps along the curve.
+/// Models of first positions, coded as gaps along the Morton curve.
 #[derive(Clone, Debug)]
 pub(super) struct CurveModels {
-    /// Exponent of a gap, divided by 4, after the one before.
+    /// Exponent of a gap divided by 4, in the context of that of the preceding gap.
     high: Vec<SymbolModel>,
-    /// The rest of it.
+    /// Remainder of that division.
     low: Vec<SymbolModel>,
     /// Highest three bits below the leading one, by exponent.
     leading: Vec<SymbolModel>,
@@ -279,15 +279,15 @@ impl CurveModels {
 #[derive(Clone, Debug)]
 pub(super) struct FirstModels {
     attribute: Attribute,
-    /// Contexts are for the widths that have quantizers: which of them a width is.
+    /// Index of each width among the widths that have quantizers; contexts use it.
     place_of_width: [usize; 17],
     codes: Codes,
     differences: Numbers,
 }
 
-/// Contexts of a code by its prediction.
+/// Number of contexts of a code by its prediction.
 const NUM_BINS: usize = 16;
-/// Contexts of a difference by how much the neighbours disagree.
+/// Number of contexts of a difference by the disagreement of the neighbours.
 const NUM_SPREADS: usize = 8;
 
 impl FirstModels {
@@ -377,7 +377,7 @@ impl FirstModels {
     }
 }
 
-/// Which of some widths each width is, in ascending order.
+/// Rank of each width among some widths, ascending.
 pub(super) fn place_of_width<'a>(widths: impl Iterator<Item = &'a u8>) -> [usize; 17] {
     let mut places = [0; 17];
     for (place, &width) in widths.enumerate() {
@@ -386,14 +386,15 @@ pub(super) fn place_of_width<'a>(widths: impl Iterator<Item = &'a u8>) -> [usize
     places
 }
 
-/// Most features of a predictor: those of the last component of a rotation.
+/// Largest number of features of a predictor: that of the last component of a rotation.
 pub(super) const MAX_FEATURES: usize = 1 + 2 * 4 + 3;
 
 /// Features of the linear prediction of a first value.
 ///
-/// Those of an attribute of [`Attribute::BASE`]: 1, all values of the nearest neighbour, all values of the second
-/// neighbour, the components before. Those of another attribute, which may have many components: 1, the values of this
-/// component of the two neighbours, up to [`RECENT`] components before, the first of these first.
+/// - attributes of [`Attribute::BASE`]: 1, all values of the nearest neighbour, all values of the second neighbour, the
+///   components before
+/// - other attributes, which may have many components: 1, the values of this component of the two neighbours, up to
+///   [`RECENT`] components before, the earliest first
 pub(super) struct Features {
     components: usize,
     is_base: bool,
@@ -411,7 +412,7 @@ impl Features {
         Self { components, is_base, values, len: 1 + 2 * components }
     }
 
-    /// Starts anew with neighbours of which all values are 0.
+    /// Resets the features: all values of the neighbours are 0.
     pub(super) fn clear(&mut self) {
         self.len = 1 + 2 * self.components;
         self.values[1..self.len].fill(0.0);
@@ -425,15 +426,15 @@ impl Features {
         self.values[1 + place * self.components + channel]
     }
 
-    /// The component just coded.
+    /// Appends the component just coded.
     pub(super) fn push(&mut self, value: f64) {
         self.values[self.len] = value;
         self.len += 1;
     }
 
-    /// The features of the component that comes after those just coded.
+    /// The features of the next component.
     ///
-    /// - `chosen`: memory for the features of an attribute of many components
+    /// - `chosen`: buffer for the features of an attribute of many components
     pub(super) fn of_next<'a>(&'a self, chosen: &'a mut [f64; MAX_FEATURES]) -> &'a [f64] {
         if self.is_base {
             return &self.values[..self.len];

@@ -4,17 +4,17 @@ use tcgs_core::{Attribute, Gaussians, dot};
 
 use crate::compact::unit_quat;
 
-/// Gaussians whose tracks are gathered from the timesteps together: a cache line or more of each.
+/// Number of Gaussians whose tracks are gathered together: a cache line or more of each timestep.
 pub(super) const BLOCK: usize = 64;
 
-/// Rotation before the first timestep: none, so that `w >= 0` at the first.
+/// Rotation before the first timestep: the identity, so that `w >= 0` at the first.
 pub(super) const IDENTITY: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
 
-/// `[gaussians, components, timesteps]` of one attribute; quaternions of unit length, neighbours in time in one
-/// hemisphere.
+/// `[gaussians, components, timesteps]` values of one attribute. Quaternions have unit length, and neighbours in time
+/// lie in one hemisphere.
 ///
-/// - `gaussians`: which ones
-/// - `before`: of each of them the rotation at the timestep before, replaced by that of the last one
+/// - `gaussians`: their indices
+/// - `before`: the rotation of each at the timestep before; replaced by that of the last timestep
 pub(super) fn gather(
     timesteps: &[Gaussians],
     attribute: Attribute,

@@ -1,4 +1,4 @@
-//! Which Gaussians keep which bands of spherical harmonics, and how many bits the coefficients take.
+//! Which Gaussians keep which bands of spherical harmonics, and the bit widths of the coefficients.
 
 use std::f64::consts::PI;
 
@@ -9,17 +9,18 @@ use super::statistics::Statistics;
 use crate::bits::BitMap;
 use crate::quantize::MAX_BITS;
 
-/// Of the coefficients of a band so many may lie beyond the range that the bits are counted for.
+/// Share of the coefficients of a band that may lie beyond the range for which the bits are counted.
 const BEYOND: f64 = 0.001;
 
-/// Sets the widths of all bands of harmonics, by the error that each Gaussian may have: that of
-/// [`CompressSettings::harmonic_error`], divided by a power of the sensitivity of the images to the Gaussian's band. If leaving
-/// the band out makes a smaller error, its width is 0; else it has as many bits as keep the error of rounding below that.
-/// Without a positive `harmonic_error` all keep the widths of the bit map.
+/// Sets the widths of all bands of harmonics by the tolerance of each Gaussian. The tolerance is
+/// [`CompressSettings::harmonic_error`], divided by a power of the sensitivity of the images to the Gaussian's band. If
+/// omitting the band errs by less, its width is 0. Else it gets enough bits to keep the rounding error below the
+/// tolerance. Without a positive `harmonic_error` all widths stay those of the bit map.
 ///
 /// The root mean square over all directions of `Σ Y_lm c_lm` is `√(Σ c_lm² / 4π)`, since harmonics are orthonormal.
 ///
-/// - `measured`: the widths by sensitivity, one bit more where it doubles ([`assign_bits`](crate::assign_bits))
+/// - `measured`: the widths by sensitivity, one bit more where the sensitivity doubles
+///   ([`assign_bits`](crate::assign_bits))
 pub(super) fn set_widths(
     bit_map: &mut BitMap,
     measured: &BitMap,
@@ -39,7 +40,7 @@ pub(super) fn set_widths(
         let kept: Vec<usize> = (0..errors.len()).filter(|&g| keeps(g)).collect();
         let range = range(kept.iter().flat_map(|&g| of(g).flatten()).map(|x| x.abs()).collect());
         let bits = |error: f64| {
-            // Rounding to steps errs by step / √12 in each of 2l + 1 coefficients of a channel.
+            // Rounding has an error of step / √12 in each of 2l + 1 coefficients of a channel.
             let step = error * (4.0 * PI * 12.0 / (components as f64 / 3.0)).sqrt();
             (2.0 * range / step + 1.0).log2().ceil().clamp(1.0, f64::from(MAX_BITS)) as u8
         };
@@ -49,16 +50,16 @@ pub(super) fn set_widths(
     }
 }
 
-/// `[N]` errors that Gaussians may have: `error` divided by the power `importance / 2` of the sensitivity, relative to its
+/// `[N]` tolerances of Gaussians: `error` divided by the power `importance / 2` of the sensitivity, relative to its
 /// geometric mean over Gaussians. [`CompressSettings::importance`] is a power for squared errors, hence the half.
 ///
-/// - `widths`: `[N]` by sensitivity, one bit more where it doubles
+/// - `widths`: `[N]` widths by sensitivity, one bit more where it doubles
 fn errors(widths: &[u8], error: f64, importance: f64) -> Vec<f64> {
     let mean = widths.iter().map(|&w| f64::from(w)).sum::<f64>() / widths.len().max(1) as f64;
     widths.iter().map(|&w| error * (0.5 * importance * (mean - f64::from(w))).exp2()).collect()
 }
 
-/// `[N * components]` values at some timesteps.
+/// `[N * components]` values at up to three timesteps.
 fn samples(statistics: &Statistics, attribute: Attribute) -> Vec<Vec<f32>> {
     let column = &statistics.columns[attribute.index()];
     if !column.varies {
@@ -67,7 +68,7 @@ fn samples(statistics: &Statistics, attribute: Attribute) -> Vec<Vec<f32>> {
     (0..3).map(|i| column.samples.iter().map(|sample| sample[i]).collect()).collect()
 }
 
-/// Root mean square over all directions of what a band adds to a colour, of the channel that it adds most to.
+/// Root mean square over all directions of a band's contribution to a colour, for the channel with the largest.
 ///
 /// - `band`: `[2l + 1, 3]`
 fn rms(band: &[f32]) -> f64 {
@@ -75,7 +76,7 @@ fn rms(band: &[f32]) -> f64 {
     ((0..3).map(of_channel).fold(0.0, f64::max) / (4.0 * PI)).sqrt()
 }
 
-/// A bound that all but a few of some absolute values keep.
+/// The quantile `1 - BEYOND` of some absolute values.
 fn range(mut values: Vec<f32>) -> f64 {
     let place = ((1.0 - BEYOND) * values.len() as f64) as usize;
     let Some(place) = values.len().checked_sub(1).map(|last| place.min(last)) else { return 0.0 };

@@ -1,11 +1,12 @@
-//! Which Gaussians of a long scene are described together, so that a timestep needs little but what lives at it.
+//! Division of a long scene's Gaussians into cohorts, so that a timestep needs few Gaussians beyond those that live at
+//! it.
 
 use std::ops::Range;
 
-/// Divisions of the longest life of a cohort within which its Gaussians are born.
+/// Number of parts of a level's longest life; the Gaussians of a cohort are born within one part.
 const BIRTHS: usize = 4;
 
-/// Gaussians that are described together: a cohort to be.
+/// Gaussians to be described together as a cohort.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Contemporaries {
     /// Timesteps from the first birth to the last death.
@@ -14,15 +15,15 @@ pub struct Contemporaries {
     pub gaussians: Vec<usize>,
 }
 
-/// Divides Gaussians into cohorts by levels of time: those of like length of life that are born at about the same time
-/// come together.
+/// Divides Gaussians into cohorts by levels of time: Gaussians with lives of similar length, born at about the same
+/// time, share a cohort.
 ///
-/// Level `k` has lives of at most `shortest * 2^k` timesteps, and cohorts of those born within a quarter of that. So at
-/// most six cohorts of each level live at a timestep, and of these at most 5 / 4 of what is born in such a life.
+/// Level `k` has lives of at most `shortest * 2^k` timesteps, and its cohorts group births within a quarter of that. So
+/// at most six cohorts of each level live at a timestep. They hold at most 5 / 4 of the Gaussians born in such a life.
 ///
 /// - `lives`: `[N]` first and last timestep of each Gaussian
 /// - `shortest`: longest life of the lowest level, at least 1
-/// - returns: by ascending first timestep
+/// - returns: cohorts by ascending first timestep
 ///
 /// ```
 /// let lives = [[0, 9999], [5, 6], [7, 8], [5000, 5003]];

@@ -1,10 +1,10 @@
-//! Gaussians that live for a part of the timesteps.
+//! Gaussians that live for only a part of the timesteps.
 
 use crate::compact::{CompactScene, Tracks};
 
 impl CompactScene {
-    /// Lets each Gaussian live from a first to a last timestep of its own. Keypoints outside of its life go; at both ends
-    /// of it tracks keep their values, rounded to codes.
+    /// Restricts each Gaussian to a life with its own first and last timestep. Keypoints outside the life are dropped;
+    /// at both ends of the life tracks keep their values, rounded to codes.
     ///
     /// - `lives`: `[N]` first and last timestep
     ///
@@ -20,7 +20,7 @@ impl CompactScene {
     /// ```
     ///
     /// # Panics
-    /// If there is not a life for each Gaussian, or one is not within the timesteps.
+    /// If `lives` has not one life for each Gaussian, or a life is not within the timesteps.
     pub fn with_lives(mut self, lives: Vec<[u16; 2]>) -> Self {
         let num_timesteps = self.num_timesteps();
         assert_eq!(lives.len(), self.num_gaussians(), "a life for each Gaussian");
@@ -32,7 +32,7 @@ impl CompactScene {
             for (gaussian, &life) in lives.iter().enumerate() {
                 let own: Vec<Track> =
                     (0..components).map(|c| restrict(tracks.track(gaussian * components + c), life)).collect();
-                // Components that share their times go on doing so.
+                // Components that share their times must continue to do so.
                 let is_still = own.iter().all(|(_, codes)| codes.iter().all(|&code| code == codes[0]));
                 for (times, codes) in own {
                     if is_still {
@@ -49,10 +49,10 @@ impl CompactScene {
     }
 }
 
-/// Times and codes.
+/// Times and codes of a track.
 type Track = (Vec<u16>, Vec<i16>);
 
-/// The part of a track within a life.
+/// The part of a track within a life; its ends become keypoints.
 fn restrict((times, codes): (&[u16], &[i16]), [birth, death]: [u16; 2]) -> Track {
     if times.len() == 1 || birth == death {
         return (vec![0], vec![code_at(times, codes, birth)]);
@@ -66,7 +66,7 @@ fn restrict((times, codes): (&[u16], &[i16]), [birth, death]: [u16; 2]) -> Track
     (of_life, values)
 }
 
-/// Nearest code to a track at a timestep.
+/// The code nearest to a track's value at a timestep.
 fn code_at(times: &[u16], codes: &[i16], timestep: u16) -> i16 {
     let after = times.partition_point(|&time| time <= timestep);
     let before = after.saturating_sub(1);

@@ -1,5 +1,5 @@
-//! Importance of Gaussians, estimated from the first timestep, and what follows from it: factors of tolerances, layers,
-//! and the order in which Gaussians are stored.
+//! Importance of Gaussians, estimated from the first timestep. It determines factors of tolerances, layers, and the
+//! order in which Gaussians are stored.
 
 use rayon::prelude::*;
 use tcgs_core::{Attribute, Gaussians};
@@ -11,10 +11,10 @@ use crate::quantize::{MAX_BITS, Quantizers};
 
 /// `[N]` factors of the tolerances; empty if all factors are 1.
 ///
-/// An error moves a splat's image by about as much as the error's size times the slope of the splat. Squared
-/// and summed over its pixels that is, up to a constant, opacity squared, times the area for a colour, times
-/// the ratio of the axes for a position, and for a rotation also times how far it is from round. Tolerances
-/// are divided by a power of that, relative to the median.
+/// An error changes a splat's image by about the error's size times the slope of the splat. Squared and summed over its
+/// pixels, up to a constant, this is opacity squared, times a factor. The factor is the area for a colour, and the
+/// ratio of the axes for a position. For a rotation it is the area times the squared deviation from a round shape.
+/// Tolerances are divided by a power of this weight, relative to the median.
 ///
 /// - `first`: the first timestep
 pub(super) fn tolerance_factors(first: &Gaussians, attribute: Attribute, settings: &CompressSettings) -> Vec<f32> {
@@ -29,7 +29,7 @@ pub(super) fn tolerance_factors(first: &Gaussians, attribute: Attribute, setting
     weights.into_iter().map(factor).collect()
 }
 
-/// Tolerances change at most by this.
+/// Largest factor by which a tolerance changes.
 const MAX_FACTOR: f64 = 16.0;
 
 fn weight(first: &Gaussians, attribute: Attribute, gaussian: usize) -> f64 {
@@ -49,7 +49,7 @@ fn weight(first: &Gaussians, attribute: Attribute, gaussian: usize) -> f64 {
     weight.max(1e-30)
 }
 
-/// All Gaussians by how much of an image each covers, the most first.
+/// All Gaussians in descending order of the image area they cover, weighted by opacity.
 fn by_weight(first: &Gaussians) -> Vec<usize> {
     let mut by_weight: Vec<usize> = (0..first.num_gaussians()).collect();
     let weights: Vec<f64> = by_weight.iter().map(|&g| weight(first, Attribute::Color, g)).collect();
@@ -57,7 +57,7 @@ fn by_weight(first: &Gaussians) -> Vec<usize> {
     by_weight
 }
 
-/// For each Gaussian the share of those that cover more of an image.
+/// For each Gaussian the share of Gaussians that cover more of an image.
 pub(super) fn ranks(first: &Gaussians) -> Vec<f32> {
     let by_weight = by_weight(first);
     let mut ranks = vec![0.0; by_weight.len()];
@@ -67,8 +67,8 @@ pub(super) fn ranks(first: &Gaussians) -> Vec<f32> {
     ranks
 }
 
-/// Splits an order into layers by how much of an image each Gaussian covers, the most first; the order holds
-/// within each. Returns the number of Gaussians of each layer, too.
+/// Splits an order into layers by descending coverage of the image; the order holds within each layer. Also returns the
+/// number of Gaussians of each layer.
 pub(super) fn by_layer(order: Vec<usize>, first: &Gaussians, settings: &CompressSettings) -> (Vec<usize>, Vec<u32>) {
     let n = order.len();
     let by_weight = by_weight(first);
@@ -90,7 +90,7 @@ pub(super) fn by_layer(order: Vec<usize>, first: &Gaussians, settings: &Compress
     (layered, sizes)
 }
 
-/// Gaussians along a Morton curve of the codes of their first positions; equal ones in their order.
+/// Gaussians along a Morton curve of the codes of their first positions; ties stay in index order.
 pub(super) fn morton_order(means: &Reduced, widths: &[u8], quantizers: &Quantizers) -> Vec<usize> {
     let table = quantizers.by_width(Attribute::Mean);
     let mut keys: Vec<(u64, usize)> = widths
@@ -100,7 +100,7 @@ pub(super) fn morton_order(means: &Reduced, widths: &[u8], quantizers: &Quantize
             let code = |channel: usize| {
                 let quantizer = &table[usize::from(width)][channel];
                 let code = quantizer.quantize(means.first(gaussian, channel)) - quantizer.min_code();
-                // Coarser codes fill the range of the finest, so that all lie on one curve.
+                // Coarser codes are scaled to the range of the finest, so that all lie on one curve.
                 (code << (MAX_BITS - width)) as u16
             };
             (morton::interleave([code(0), code(1), code(2)]), gaussian)

@@ -1,5 +1,5 @@
-//! The second pass over a scene: selection of the keypoints of all tracks, as floats. Quantisation follows in the
-//! parent module.
+//! The second pass over a scene: keypoint selection for all tracks, as floats. Quantisation follows in the parent
+//! module.
 
 use rayon::prelude::*;
 use tcgs_core::{Attribute, SceneReader};
@@ -12,48 +12,48 @@ use crate::compact::Tracks;
 use crate::error::CompressError;
 use crate::keypoints::{Selector, fit_values};
 
-/// Whole tracks that are held together, in bytes.
+/// Memory for whole tracks that are held together, in bytes.
 const TRACK_BYTES: usize = 256 << 20;
 
 /// Keypoints of one column.
 pub(super) enum Reduced {
-    /// Each track has keypoints of its own.
+    /// Each track has its own keypoints.
     Apart {
-        /// Tracks of a Gaussian.
+        /// Number of tracks of a Gaussian.
         components: usize,
-        /// `[N * components]`
+        /// `[N * components]` tracks.
         tracks: Tracks<f32>,
     },
     /// The components of an attribute of a Gaussian share their keypoints.
     Joint(JointKeypoints),
 }
 
-/// Keypoints that the components of each Gaussian share, segment by segment.
+/// Keypoints shared by the components of each Gaussian, segment by segment.
 pub(super) struct JointKeypoints {
     components: usize,
-    /// `[N]` which unit of every segment a Gaussian is; [`STILL`] if it is constant.
+    /// `[N]` index of a Gaussian's unit in every segment; [`STILL`] if the Gaussian is constant.
     units: Vec<u32>,
-    /// `[N, components]` values of what is constant.
+    /// `[N, components]` values of constant Gaussians.
     constants: Vec<f32>,
     segments: Vec<SegmentKeypoints>,
 }
 
-/// In [`JointKeypoints::units`]: a Gaussian that is constant.
+/// Value in [`JointKeypoints::units`] of a constant Gaussian.
 const STILL: u32 = u32::MAX;
 
-/// Keypoints of the units that move, within a span of timesteps.
+/// Keypoints of the moving units within a span of timesteps.
 #[derive(Default)]
 struct SegmentKeypoints {
-    /// `[units]` end in `times`.
+    /// `[units]` end of each unit's range in `times`.
     ends: Vec<u32>,
     /// `[keypoints]` timesteps.
     times: Vec<u16>,
-    /// `[keypoints, components]`
+    /// `[keypoints, components]` values.
     values: Vec<f32>,
 }
 
 impl Reduced {
-    /// Appends the values of a track at its keypoints; their timesteps, too, if there is a place for them.
+    /// Appends the values of a track at its keypoints, and their timesteps if `times` is given.
     pub(super) fn append(
         &self,
         gaussian: usize,
@@ -127,7 +127,7 @@ impl SegmentKeypoints {
     }
 }
 
-/// Keypoints of a column that does not vary: one each.
+/// Keypoints of a column that does not vary: one per track.
 pub(super) fn constant(statistics: &Statistics, attribute: Attribute, settings: &CompressSettings) -> Reduced {
     let (mut tracks, mut selector) = (Tracks::default(), Selector::default());
     let components = attribute.components();
@@ -141,9 +141,9 @@ pub(super) fn constant(statistics: &Statistics, attribute: Attribute, settings: 
     Reduced::Apart { components, tracks }
 }
 
-/// Keypoints of the columns that vary, each track by itself.
+/// Keypoints of the columns that vary, selected for each track separately.
 ///
-/// Reads the scene once for every so many Gaussians as their whole tracks fit into [`TRACK_BYTES`].
+/// Reads the scene once for each block of Gaussians whose whole tracks fit into [`TRACK_BYTES`].
 pub(super) fn apart<R: SceneReader>(
     reader: &mut R,
     columns: &[(Attribute, &Tolerances<'_>)],
@@ -155,7 +155,7 @@ pub(super) fn apart<R: SceneReader>(
     let mut tracks: Vec<Tracks<f32>> = columns.iter().map(|_| Tracks::default()).collect();
     for start in (0..num_gaussians).step_by(at_once) {
         let gaussians: Vec<u32> = (start as u32..(start + at_once).min(num_gaussians) as u32).collect();
-        // `[gaussians, components, T]`
+        // `[gaussians, components, T]` values.
         let mut values: Vec<Vec<f32>> =
             columns.iter().map(|(a, _)| vec![0.0; gaussians.len() * a.components() * num_timesteps]).collect();
         let mut rotations = vec![IDENTITY; gaussians.len()];
@@ -196,7 +196,7 @@ pub(super) fn apart<R: SceneReader>(
     Ok(reduced.map(|((a, _), tracks)| Reduced::Apart { components: a.components(), tracks }).collect())
 }
 
-/// Keypoints of one track.
+/// Selects the keypoints of one track.
 fn reduce(track: &[f32], max_mse: f32, settings: &CompressSettings, selector: &mut Selector) -> (Vec<u16>, Vec<f32>) {
     if !settings.keypoints {
         return ((0..track.len()).map(|t| t as u16).collect(), track.to_vec());
@@ -213,26 +213,26 @@ fn reduce(track: &[f32], max_mse: f32, settings: &CompressSettings, selector: &m
     (indices.iter().map(|&i| i as u16).collect(), indices.iter().map(|&i| track[i]).collect())
 }
 
-/// A column that is reduced segment by segment.
+/// A column whose keypoints are selected segment by segment.
 struct Column<'a> {
     attribute: Attribute,
     tolerances: &'a Tolerances<'a>,
-    /// Gaussians of which it is not certain that they are constant.
+    /// Gaussians that are not certain to be constant.
     gaussians: Vec<u32>,
-    /// `[gaussians]`: whether rounding errors could decide if the Gaussian is constant.
+    /// `[gaussians]` whether the test for a constant Gaussian is within rounding error.
     uncertain: Vec<bool>,
     /// `[gaussians, components]` means over all timesteps.
     means: Vec<f32>,
-    /// `[gaussians, components]` sums of squared distances to `means`, of the uncertain Gaussians.
+    /// `[gaussians, components]` sums of squared distances to `means`, for the uncertain Gaussians.
     errors: Vec<f64>,
     /// Quaternions at the last timestep read, from which [`gather`] continues.
     rotations: Vec<[f32; 4]>,
     segments: Vec<SegmentKeypoints>,
 }
 
-/// Keypoints of the columns that vary, those of a Gaussian's components together, segment by segment.
+/// Keypoints of the columns that vary, shared by a Gaussian's components, segment by segment.
 ///
-/// Reads the scene once, and holds a segment of its timesteps.
+/// Reads the scene once, and holds the timesteps of one segment.
 pub(super) fn jointly<R: SceneReader>(
     reader: &mut R,
     statistics: &Statistics,
@@ -286,7 +286,7 @@ impl<'a> Column<'a> {
         }
     }
 
-    /// Takes the timesteps of a segment.
+    /// Selects the keypoints of a segment.
     fn reduce(&mut self, timesteps: &[tcgs_core::Gaussians], start: usize, settings: &CompressSettings) {
         let (attribute, tolerances, components) = (self.attribute, self.tolerances, self.attribute.components());
         let gaussians = self.gaussians.par_chunks(BLOCK).zip(self.rotations.par_chunks_mut(BLOCK));
@@ -339,12 +339,12 @@ impl<'a> Column<'a> {
     }
 }
 
-/// Factors of the squared errors of a Gaussian's components: the reciprocals of the tolerances.
+/// Weights of the squared errors of a Gaussian's components: the reciprocals of the tolerances.
 fn weights(tolerances: &Tolerances<'_>, gaussian: u32) -> Vec<f64> {
     tolerances.of(gaussian as usize).map(|t| 1.0 / f64::from(t).max(1e-30)).collect()
 }
 
-/// Keypoints that all components of an attribute of a Gaussian share, within a segment.
+/// Selects keypoints within a segment that all components of an attribute of a Gaussian share.
 ///
 /// - `tracks`: `[components][timesteps]`
 /// - `start`: the first of these timesteps
@@ -374,7 +374,8 @@ fn reduce_segment(
     }
 }
 
-/// By how much the squared error through samples may exceed the tolerance, since fitted values lower it.
+/// Factor by which the squared error of interpolated samples may exceed the tolerance, because least-squares values
+/// then lower it.
 const FIT_GAIN: f64 = 1.5;
 
 fn mean(track: &[f32]) -> f32 {

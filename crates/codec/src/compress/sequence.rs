@@ -1,7 +1,8 @@
-//! Sequences of timesteps whose Gaussians change in number or order: which Gaussian of one timestep is which of the next.
+//! Sequences of timesteps whose Gaussians change in number or order: finds correspondences between the Gaussians of
+//! successive timesteps.
 //!
-//! Programs that make one scene a frame do not say. A Gaussian that is followed over several timesteps costs its changes; one that is not
-//! costs all of its attributes again.
+//! Programs that make one scene per frame do not store correspondences. A Gaussian that is followed over several
+//! timesteps costs its changes; any other costs all of its attributes again.
 
 use std::collections::HashMap;
 use std::collections::hash_map::DefaultHasher;
@@ -13,25 +14,26 @@ use super::statistics::read_one;
 use crate::compact::MAX_TIMESTEPS;
 use crate::error::CompressError;
 
-/// Of the Gaussians of a timestep at least so many must be known from the one before; else it begins a new part.
+/// Least share of a timestep's Gaussians that must match the timestep before; with fewer the timestep begins a new
+/// part.
 const MIN_KNOWN: f64 = 0.5;
-/// What two Gaussians may differ by and count as one: in position, as a multiple of the middle of the three scales.
+/// Largest distance between two Gaussians that match, as a multiple of the middle one of the three scales.
 const MAX_DISTANCE: f32 = 2.0;
-/// In the logarithm of each scale.
+/// Largest difference in each log scale.
 const MAX_LOG_SCALE: f32 = 0.7;
-/// In the opacity before the logistic function.
+/// Largest difference in the logit of the opacity.
 const MAX_LOGIT: f32 = 2.0;
-/// In each channel of the colour.
+/// Largest difference in each channel of the colour.
 const MAX_COLOR: f32 = 0.15;
-/// In rotation: the cosine of half of the angle is at least this.
+/// Least cosine of half the angle between the rotations.
 const MIN_COSINE: f32 = 0.9;
 
-/// Some successive timesteps of a sequence, with the Gaussians that were found to be the same followed over them.
+/// Successive timesteps of a sequence, with Gaussians followed over them.
 #[derive(Clone, Debug)]
 pub struct Followed {
     /// First timestep.
     pub start: usize,
-    /// All Gaussians of the part; before and after its life a Gaussian has the values of its first and last timestep.
+    /// All Gaussians of the part. Before and after its life a Gaussian has the values of its first and last timestep.
     pub scene: DynamicGaussians,
     /// `[N]` first and last timestep at which each Gaussian lives, counted from [`Self::start`].
     pub lives: Vec<[u16; 2]>,
@@ -60,12 +62,12 @@ pub struct FollowedParts<'a, R> {
     reader: &'a mut R,
     max_timesteps: usize,
     next: usize,
-    /// The timestep at `next`, if it was read already.
+    /// The timestep at `next`, if it is already read.
     ahead: Option<Gaussians>,
 }
 
 impl<'a, R: SceneReader> FollowedParts<'a, R> {
-    /// - `max_timesteps`: most timesteps of a part; memory holds one part
+    /// - `max_timesteps`: largest number of timesteps of a part; memory holds one part
     pub fn new(reader: &'a mut R, max_timesteps: usize) -> Self {
         Self { reader, max_timesteps: max_timesteps.clamp(1, MAX_TIMESTEPS as usize), next: 0, ahead: None }
     }
@@ -81,7 +83,7 @@ impl<'a, R: SceneReader> FollowedParts<'a, R> {
         let start = self.next;
         let Some(first) = self.read()? else { return Ok(None) };
         self.next += 1;
-        // Of every Gaussian of the part its first timestep and its rows from there on.
+        // For every Gaussian of the part: its first timestep, and its rows from there on.
         let mut tracks: Vec<(usize, Vec<u32>)> = (0..first.num_gaussians() as u32).map(|row| (0, vec![row])).collect();
         let mut of_row: Vec<usize> = (0..tracks.len()).collect();
         let mut timesteps = vec![first];
@@ -111,7 +113,7 @@ impl<'a, R: SceneReader> FollowedParts<'a, R> {
         }
         let mut scene = DynamicGaussians::new(timesteps[0].layout().clone());
         for t in 0..timesteps.len() {
-            // Held before and after a life.
+            // Values are constant before and after a life.
             let held = |(birth, rows): &(usize, Vec<u32>)| {
                 let last = birth + rows.len() - 1;
                 let at = t.clamp(*birth, last);
@@ -133,7 +135,7 @@ impl<R: SceneReader> Iterator for FollowedParts<'_, R> {
     }
 }
 
-/// Rows of several timesteps.
+/// Collects rows of several timesteps.
 ///
 /// - `places`: timestep and row of each
 fn gather(timesteps: &[Gaussians], places: &[(usize, usize)]) -> Gaussians {
@@ -146,9 +148,10 @@ fn gather(timesteps: &[Gaussians], places: &[(usize, usize)]) -> Gaussians {
     Gaussians::new(layout.clone(), places.len(), layout.attributes().map(column).collect())
 }
 
-/// For each Gaussian of `now` the one of `before` that it is, if any; no two are the same.
+/// For each Gaussian of `now` the matching Gaussian of `before`, if any; matches are unique.
 ///
-/// First those that are equal in every value, then those alike in the same row, then the nearest that is alike.
+/// First come Gaussians that are equal in every value, then similar ones in the same row, then the nearest similar
+/// ones.
 fn matches(before: &Gaussians, now: &Gaussians) -> Vec<Option<u32>> {
     let mut known = vec![None; now.num_gaussians()];
     let mut is_free = vec![true; before.num_gaussians()];
@@ -201,7 +204,7 @@ fn hash(gaussians: &Gaussians, row: usize) -> u64 {
     hasher.finish()
 }
 
-/// By how much two Gaussians differ; none if by too much to be one.
+/// Difference of two Gaussians; `None` if it is too large for a match.
 fn cost(before: &Gaussians, b: usize, now: &Gaussians, n: usize) -> Option<f32> {
     let mut scales = before.log_scales()[b];
     scales.sort_unstable_by(f32::total_cmp);
@@ -222,14 +225,14 @@ fn cost(before: &Gaussians, b: usize, now: &Gaussians, n: usize) -> Option<f32> 
     is_alike.then(|| parts.into_iter().map(|x| x * x).sum::<f32>() + (1.0 - cosine) / (1.0 - MIN_COSINE))
 }
 
-/// Gaussians by cells of space.
+/// A hash grid of Gaussians.
 struct Grid {
     cell: f32,
     cells: HashMap<[i32; 3], Vec<u32>>,
 }
 
 impl Grid {
-    /// Cells as wide as most Gaussians may move.
+    /// Makes cells as wide as the largest distance of a match at the median scale.
     fn new(gaussians: &Gaussians, is_member: &[bool]) -> Self {
         let middle = |scales: &[f32; 3]| {
             let mut scales = *scales;
@@ -250,7 +253,7 @@ impl Grid {
         point.map(|x| (x / self.cell).floor() as i32)
     }
 
-    /// Those in the cell of a point and in all cells beside it.
+    /// The Gaussians in the cell of a point and in the 26 cells around it.
     fn near(&self, point: [f32; 3]) -> impl Iterator<Item = u32> {
         let [x, y, z] = self.cell_of(point);
         let around = (0..27).map(move |i| [i / 9 - 1, i / 3 % 3 - 1, i % 3 - 1]);

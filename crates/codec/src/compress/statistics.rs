@@ -1,5 +1,5 @@
 //! The first pass over a scene: ranges, means and variances over time, and which columns vary. The second pass
-//! (`reduce`) needs these before it sees the first timestep.
+//! (`reduce`) needs these before it reads the first timestep.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use tcgs_core::{Attribute, Gaussians, Layout, SceneReader};
 use super::gather::{BLOCK, IDENTITY, gather};
 use crate::error::CompressError;
 
-/// Floats of timesteps that are held together while reading, in bytes, where a segment does not ask for more.
+/// Memory for timesteps that are read together, in bytes, unless a segment needs more.
 const CHUNK_BYTES: usize = 64 << 20;
 
 /// Result of the first pass.
@@ -21,7 +21,7 @@ pub(super) struct Statistics {
     pub(super) bounds: [[f32; 3]; 2],
     pub(super) columns: Vec<ColumnStatistics>,
     pub(super) num_timesteps: usize,
-    /// [`UNCERTAINTY`]
+    /// [`UNCERTAINTY`] of the sums.
     uncertainty: f64,
 }
 
@@ -48,15 +48,15 @@ struct Sums {
     first: f32,
 }
 
-/// Errors of sums, relative to what was added, are far below this.
+/// Bound on the relative error of sums; the actual error is far below.
 const UNCERTAINTY: f64 = 1e-9;
 
-/// Whether tracks count as constant over time.
+/// Whether a Gaussian's tracks count as constant over time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Stillness {
     Still,
     Moves,
-    /// Rounding decides: the squared distances to the mean have to be added exactly.
+    /// The result is within rounding error: the squared distances to the mean must be summed exactly.
     Uncertain,
 }
 
@@ -120,7 +120,7 @@ impl Statistics {
     ///
     /// - `start`: the first of them
     /// - `all`: indices of all Gaussians
-    /// - `rotations`: what [`gather`] goes on from
+    /// - `rotations`: state of [`gather`]: the last rotations
     fn add(
         &mut self,
         attribute: Attribute,
@@ -133,7 +133,7 @@ impl Statistics {
         let column = &mut self.columns[attribute.index()];
         let first = self.first.values(attribute);
         if !column.varies {
-            // Compared by bits: what is stored once must come back as it was.
+            // Compared bit by bit: a column that is stored once must be restored exactly.
             let same = |x: &f32, y: &f32| x.to_bits() == y.to_bits();
             let as_first = |now: &Gaussians| now.values(attribute).iter().zip(first).all(|(x, y)| same(x, y));
             if timesteps.iter().all(as_first) {
@@ -172,7 +172,7 @@ impl Statistics {
         (self.columns[attribute.index()].sums[track].values / self.num_timesteps as f64) as f32
     }
 
-    /// Whether the weighted sum of mean squared distances of a Gaussian's tracks to their means is at most their
+    /// Whether the sum over a Gaussian's tracks of weighted mean squared distances to their means is at most their
     /// number.
     pub(super) fn stillness(&self, attribute: Attribute, gaussian: usize, weights: &[f64]) -> Stillness {
         let (components, count) = (attribute.components(), self.num_timesteps as f64);
@@ -194,7 +194,7 @@ impl Statistics {
         }
     }
 
-    /// These statistics with every track that may count as constant marked uncertain.
+    /// These statistics with every decision about constant tracks made uncertain.
     #[cfg(test)]
     #[cfg(test)]
     pub(super) fn all_uncertain(self) -> Self {
@@ -203,7 +203,7 @@ impl Statistics {
 }
 
 impl ColumnStatistics {
-    /// Begins to count, after `num_before` timesteps in which all values were the first ones.
+    /// Starts the sums after `num_before` timesteps that were equal to the first.
     fn begin(&mut self, first: &[f32], num_before: usize) {
         self.varies = true;
         self.samples = first.iter().map(|&x| [x; 3]).collect();
@@ -213,7 +213,7 @@ impl ColumnStatistics {
     }
 }
 
-/// All timesteps in spans that are read together.
+/// Divides all timesteps into spans that are read together.
 pub(super) fn chunks(
     layout: &Layout,
     num_gaussians: usize,
@@ -224,7 +224,7 @@ pub(super) fn chunks(
     (0..num_timesteps).step_by(length).map(move |start| start..(start + length).min(num_timesteps))
 }
 
-/// Some timesteps of a scene.
+/// Reads some timesteps of a scene.
 pub(super) fn read<R: SceneReader>(reader: &mut R, timesteps: Range<usize>) -> Result<Vec<Gaussians>, CompressError> {
     timesteps.map(|timestep| read_one(reader, timestep)).collect()
 }

@@ -1,5 +1,5 @@
-//! Tolerance of each track, the mean squared error allowed between the track and its keypoints, and quantizers for the
-//! values at keypoints.
+//! Tolerance of each track: the mean squared error allowed between the track and its keypoints. Also the quantizers for
+//! the values at keypoints.
 
 use std::collections::BTreeMap;
 
@@ -14,11 +14,11 @@ use crate::quantize::{MAX_BITS, Quantizer, Quantizers};
 
 /// Tolerances of all tracks of a column.
 pub(super) struct Tolerances<'a> {
-    /// `[N]`
+    /// `[N]` bit widths.
     widths: &'a [u8],
-    /// By width and channel: mean squared error, and the noise floor below which it never falls.
+    /// By width and channel: mean squared error, and the noise floor below which the tolerance never falls.
     by_width: Vec<Vec<(f32, f32)>>,
-    /// `[N]`; empty if all are 1.
+    /// `[N]` factors; empty if all are 1.
     factors: Vec<f32>,
 }
 
@@ -36,7 +36,8 @@ impl<'a> Tolerances<'a> {
         let max_mse = settings.max_mse[CompressSettings::place_of(column)];
         let mut by_width = vec![vec![(max_mse, 0.0); components]; usize::from(MAX_BITS) + 1];
         if settings.keypoints && settings.noise_floor {
-            // The quantizers proper need the keypoints, which need the steps: those of three timesteps serve.
+            // The final quantizers need the keypoints, which need the steps. Quantizers of three timesteps give the
+            // steps.
             let samples = &statistics.columns[attribute.index()].samples;
             let values = |gaussian: usize, channel: usize, values: &mut Vec<f32>| {
                 values.extend(samples[gaussian * components + channel]);
@@ -56,13 +57,14 @@ impl<'a> Tolerances<'a> {
     }
 }
 
-/// A learned quantizer is what the optimisation rounded to, and errs where that does not show, so it may
-/// err more than the fitted one; by more than this, values have left its range since it was learned.
+/// Largest squared error of a learned quantizer, relative to the fitted one. Training rounded to the learned quantizer,
+/// and its errors are placed where they do not show, so it may err more. A larger ratio means that values have left its
+/// range since training.
 const LEARNED_ERROR_RATIO: f64 = 2.0;
 
-/// Quantizers for every width in use.
+/// Fits quantizers for every width in use.
 ///
-/// - `append_values`: appends the values of a Gaussian's channel that are to be quantised
+/// - `append_values`: appends the values to be quantised, of one channel of a Gaussian
 pub(super) fn quantizers_for(
     column: &Column,
     append_values: impl Fn(usize, usize, &mut Vec<f32>) + Sync,
@@ -74,7 +76,7 @@ pub(super) fn quantizers_for(
     let attribute = column.attribute;
     let covers = attribute == Attribute::Mean || settings.covers_outliers[CompressSettings::place_of(column)];
     let mut groups: BTreeMap<u8, Vec<usize>> = BTreeMap::new();
-    // What a Gaussian lacks has the width 0.
+    // An attribute that a Gaussian lacks has the width 0.
     for (gaussian, &width) in widths.iter().enumerate().filter(|(_, width)| **width > 0) {
         groups.entry(width).or_default().push(gaussian);
     }

@@ -1,4 +1,4 @@
-//! Any scene that the format can say.
+//! Random scenes that cover all the format can express.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -28,7 +28,7 @@ impl Numbers {
     }
 }
 
-/// Widths, layers, segments, times and codes at random; codes are sometimes steady, as real ones are.
+/// Random widths, layers, segments, times and codes; codes are sometimes constant, as in real scenes.
 pub fn any_scene(num_gaussians: usize, num_timesteps: usize, seed: u64) -> CompactScene {
     let random = &mut Numbers(seed);
     let mut cuts: BTreeSet<usize> =
@@ -51,7 +51,7 @@ pub fn any_scene(num_gaussians: usize, num_timesteps: usize, seed: u64) -> Compa
         lives: None,
         bit_map: BitMap::default(),
         quantizers: Quantizers::default(),
-        // The others always vary in scenes of floats, but the format does not ask for it.
+        // The others always vary in scenes of floats, but the format does not require it.
         varies: [8, 8, 2, 2, 8].map(|bound| random.below(bound) > 0).to_vec(),
         layers: cuts.windows(2).map(|pair| (pair[1] - pair[0]) as u32).collect(),
         segment_length: [1, 2, 7, 30, 65_536][random.below(5) as usize],
@@ -64,9 +64,9 @@ pub fn any_scene(num_gaussians: usize, num_timesteps: usize, seed: u64) -> Compa
     scene
 }
 
-/// Widths, quantizers and tracks of an attribute at random.
+/// Fills an attribute with random widths, quantizers and tracks.
 ///
-/// - `lacking`: of five Gaussians so many lack the attribute, about
+/// - `lacking`: approximate number of Gaussians in five that lack the attribute
 fn fill(scene: &mut CompactScene, attribute: Attribute, lacking: u64, random: &mut Numbers) {
     let (num_gaussians, num_timesteps) = (scene.num_gaussians(), scene.num_timesteps());
     let (index, components) = (attribute.index(), attribute.components());
@@ -113,7 +113,7 @@ fn fill(scene: &mut CompactScene, attribute: Attribute, lacking: u64, random: &m
     scene.bit_map.widths[index] = widths;
 }
 
-/// What version 2 holds beyond [`any_scene`]: further attributes, which Gaussians may lack, and lives.
+/// [`any_scene`] with the additions of version 2: further attributes, which Gaussians may lack, and lives.
 pub fn any_cohort(num_gaussians: usize, num_timesteps: usize, start: u32, seed: u64) -> CompactScene {
     let mut scene = CompactScene { start, ..any_scene(num_gaussians, num_timesteps, seed) };
     let random = &mut Numbers(!seed);
@@ -135,7 +135,7 @@ pub fn any_cohort(num_gaussians: usize, num_timesteps: usize, start: u32, seed: 
     scene
 }
 
-/// Gives Gaussians lives of their own, and moves keypoints into them.
+/// Gives Gaussians their own lives, and moves keypoints into them.
 fn live(scene: &mut CompactScene, random: &mut Numbers) {
     let last = scene.num_timesteps() as u64 - 1;
     let lives: Vec<[u16; 2]> = (0..scene.num_gaussians())
@@ -178,7 +178,7 @@ fn any_times(num_timesteps: usize, moves: bool, random: &mut Numbers) -> Vec<u16
     std::iter::once(0).chain(inner).chain([last]).map(|t| t as u16).collect()
 }
 
-/// Cohorts at random, by ascending start, and what describes them together.
+/// Random cohorts, by ascending start, and their common description.
 pub fn any_cohorts(count: usize, seed: u64) -> (SceneInfo, Vec<CompactScene>) {
     let random = &mut Numbers(seed);
     let info = any_scene(1, 1, seed).info;
@@ -188,7 +188,7 @@ pub fn any_cohorts(count: usize, seed: u64) -> (SceneInfo, Vec<CompactScene>) {
         start += random.below(8) as u32;
         let [num_gaussians, num_timesteps] = [1 + random.below(9), 1 + random.below(30)].map(|n| n as usize);
         let mut cohort = any_cohort(num_gaussians, num_timesteps, start, seed ^ i as u64);
-        // What describes the whole scene is said once.
+        // All cohorts share the description of the whole scene.
         cohort.info =
             SceneInfo { num_gaussians: num_gaussians as u32, num_timesteps: num_timesteps as u32, ..info.clone() };
         cohorts.push(cohort);

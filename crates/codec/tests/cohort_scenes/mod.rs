@@ -8,10 +8,10 @@ use tcgs_core::{Activation, Attribute, Column, Layout};
 use crate::any_scene::Numbers;
 use crate::corner_scenes;
 
-/// A file of version 2: what describes it, and its cohorts.
+/// A file of version 2: its description, and its cohorts.
 pub type File = (SceneInfo, Vec<CompactScene>);
 
-/// What a cohort is to be like; the rest is random.
+/// Properties of a cohort; everything else is random.
 #[derive(Clone)]
 struct Shape {
     start: u32,
@@ -20,14 +20,14 @@ struct Shape {
     layers: Vec<u32>,
     layout: Arc<Layout>,
     has_lives: bool,
-    /// Of ten Gaussians so many lack a further attribute, about.
+    /// Approximate number of Gaussians in ten that lack a further attribute.
     lacking: u64,
     /// Whether no attribute varies.
     is_still: bool,
 }
 
 impl Shape {
-    /// Timesteps `start..start + num_timesteps`, one layer, five attributes, which all live throughout.
+    /// Timesteps `start..start + num_timesteps`, one layer, five attributes, and no lives.
     fn new(num_gaussians: u32, start: u32, num_timesteps: u32) -> Self {
         let layers = vec![num_gaussians];
         let layout = Layout::base();
@@ -35,7 +35,7 @@ impl Shape {
     }
 }
 
-/// Name, components, activation, and whether it varies, of attributes beyond the five.
+/// A layout with attributes beyond the five, by name, components, activation, and whether they vary.
 fn with_columns(columns: &[(&str, usize, Activation, bool)]) -> Arc<Layout> {
     let mut layout = Layout::default();
     for &(name, components, activation, varies) in columns {
@@ -68,7 +68,7 @@ fn file(cohorts: Vec<CompactScene>, further: u32) -> File {
     (info(num_gaussians, end.unwrap_or(0) + further), cohorts)
 }
 
-/// Widths of codes; all have quantizers, whether they are in use or not, so that cohorts may share a plan.
+/// Widths of codes. All have quantizers, even unused ones, so that cohorts may share a plan.
 const WIDTHS: [u8; 3] = [3, 6, 9];
 
 fn cohort(shape: &Shape, random: &mut Numbers) -> CompactScene {
@@ -92,7 +92,7 @@ fn cohort(shape: &Shape, random: &mut Numbers) -> CompactScene {
     let mut widths = Vec::new();
     for attribute in layout.attributes() {
         let quantizers = WIDTHS.map(|width| {
-            // The range of means, of quaternions and of all else.
+            // The range of means, and of all other attributes.
             let range = [4.0, 2.0][attribute.index().min(1)];
             let quantizer = |c| Quantizer::new(range / f32::from(1_u16 << width), 0.125 * c as f32, width).unwrap();
             (width, (0..attribute.components()).map(quantizer).collect())
@@ -110,7 +110,7 @@ fn cohort(shape: &Shape, random: &mut Numbers) -> CompactScene {
 
 fn lives_of(num_gaussians: usize, num_timesteps: u32, random: &mut Numbers) -> Vec<[u16; 2]> {
     let mut lives: Vec<[u16; 2]> = (0..num_gaussians).map(|_| life(num_timesteps, random)).collect();
-    // From the last Gaussian none is predicted: `forge_v2.py` lets it move within its only timestep.
+    // No Gaussian is predicted from the last one, so `forge_v2.py` lets it move within its only timestep.
     lives[num_gaussians - 1] = [6; 2];
     lives
 }
@@ -129,8 +129,8 @@ fn life(num_timesteps: u32, random: &mut Numbers) -> [u16; 2] {
     }
 }
 
-/// Tracks that move with those of other Gaussians, by and large. Those of opacities, and of attributes with an odd
-/// index, have times of their own in every component; the others share them.
+/// Tracks that mostly move with those of other Gaussians. Opacities, and attributes with an odd index, have separate
+/// times for every component; the others share them.
 fn tracks(scene: &CompactScene, attribute: Attribute, widths: &[u8], random: &mut Numbers) -> Tracks<i16> {
     let (index, components) = (attribute.index(), attribute.components());
     let mut tracks = Tracks::default();
@@ -166,12 +166,12 @@ pub fn one_gaussian() -> File {
     file(vec![CompactScene { start: 1, ..corner_scenes::one_gaussian() }], 0)
 }
 
-/// Nothing lives.
+/// A file without cohorts.
 pub fn no_cohorts() -> File {
     file(vec![], 2)
 }
 
-/// Segments of four cohorts interleave; two begin at the same timestep, and after a gap one more follows.
+/// Four cohorts with interleaved segments; two begin at the same timestep, and one follows after a gap.
 pub fn cohorts() -> File {
     let random = &mut Numbers(30);
     let spans = [(7, 0, 13), (5, 3, 9), (6, 3, 4), (1, 5, 1), (4, 15, 6)];
@@ -185,7 +185,7 @@ pub fn lives() -> File {
     file(vec![cohort(&Shape { has_lives: true, ..Shape::new(30, 2, 19) }, random)], 0)
 }
 
-/// Further attributes, of which Gaussians may lack some.
+/// Further attributes, some of which Gaussians may lack.
 pub fn sparse() -> File {
     let random = &mut Numbers(32);
     let layout = with_columns(&[
@@ -197,7 +197,7 @@ pub fn sparse() -> File {
     file(vec![cohort(&Shape { layout, lacking: 4, ..Shape::new(24, 0, 6) }, random)], 0)
 }
 
-/// Spherical harmonics of degree 3 as 3D Gaussian splatting has them. One band varies, and Gaussians may lack any.
+/// Spherical harmonics of degree 3 as in 3D Gaussian splatting. One band varies, and Gaussians may lack any.
 pub fn harmonics() -> File {
     let random = &mut Numbers(33);
     let bands = [("sh1", 9, true), ("sh2", 15, false), ("sh3", 21, false)];
@@ -205,7 +205,7 @@ pub fn harmonics() -> File {
     file(vec![cohort(&Shape { layout, lacking: 2, ..Shape::new(12, 0, 5) }, random)], 0)
 }
 
-/// Two plans: that of the first cohort for the second and the last, that of the third for the fourth.
+/// Two plans: the second and the last cohort use that of the first, the fourth uses that of the third.
 pub fn shared_plan() -> File {
     let random = &mut Numbers(34);
     let shape = |start, further| {
@@ -216,7 +216,7 @@ pub fn shared_plan() -> File {
     file(shapes.iter().map(|shape| cohort(shape, random)).collect(), 0)
 }
 
-/// Three layers in segments, with lives and an attribute of the most components.
+/// Three layers in segments, with lives and an attribute of the largest number of components.
 pub fn layers() -> File {
     let random = &mut Numbers(35);
     let layout = with_columns(&[("spectrum", 32, Activation::Identity, true)]);
@@ -224,14 +224,14 @@ pub fn layers() -> File {
     file(vec![cohort(&shape, random)], 0)
 }
 
-/// Nothing varies in two layers, so that there is one segment, whatever its length. `forge_v2.py` adds an attribute to
-/// skip, which varies.
+/// Two layers in which nothing varies, so that there is one segment, whatever its length. `forge_v2.py` adds an
+/// attribute to skip, which varies.
 pub fn still() -> File {
     let random = &mut Numbers(37);
     file(vec![cohort(&Shape { is_still: true, layers: vec![2, 3], ..Shape::new(0, 1, 10) }, random)], 0)
 }
 
-/// Drawn with antialiasing: two cohorts, one with lives.
+/// Two antialiased cohorts, one with lives.
 pub fn antialiased() -> File {
     let random = &mut Numbers(38);
     let shape =
@@ -239,7 +239,8 @@ pub fn antialiased() -> File {
     file(vec![cohort(&shape(0, true), random), cohort(&shape(5, false), random)], 0)
 }
 
-/// Frames of a flip-book: a cohort a timestep, each of another number of Gaussians, and one of none.
+/// Frames of a flip-book: one cohort per timestep, each with a different number of Gaussians, and one timestep with
+/// none.
 pub fn flip_book() -> File {
     let random = &mut Numbers(36);
     let frames = [(5, 0), (9, 1), (2, 2), (40, 4), (1, 5)];

@@ -1,4 +1,4 @@
-//! Scenes for what random and realistic scenes do not reach: models of age 256, ties, clamps, overflow.
+//! Cases that random and realistic scenes do not reach: models of age 256, ties, clamps, overflow.
 
 use tcgs_codec::{BitMap, ColorSpace, CompactScene, Quantizer, Quantizers, SceneInfo, Tracks, UpAxis};
 use tcgs_core::{Attribute, Layout};
@@ -8,7 +8,7 @@ use crate::any_scene::Numbers;
 /// Times and codes of one track.
 type Track = (Vec<u16>, Vec<i16>);
 
-/// A scene to be filled in: every width is 4 bits, every step 1/8, every track constant and of code 0.
+/// A scene under construction: every width is 4 bits, every step 1/8, every track constant with code 0.
 struct Draft {
     scene: CompactScene,
     tracks: [Vec<Track>; 5],
@@ -55,7 +55,7 @@ impl Draft {
         self.scene.bit_map.widths[attribute.index()][gaussian] = width;
     }
 
-    /// Codes of all components of a Gaussian at the same times.
+    /// Sets codes of all components of a Gaussian at the same times.
     ///
     /// - `codes`: `[keypoints][components]`
     fn set(&mut self, attribute: Attribute, gaussian: usize, times: &[u16], codes: &[&[i16]]) {
@@ -91,8 +91,8 @@ pub fn one_gaussian() -> CompactScene {
     draft.finish()
 }
 
-/// A Gaussian of 1,200 keypoints, so that models reach the age at which they learn slowest, and others of few and of
-/// many over a long time.
+/// A Gaussian of 1,200 keypoints, with which models reach their slowest adaptation. Others have few or many keypoints
+/// over a long time.
 pub fn many_keypoints() -> CompactScene {
     let inner = [9, 20, 40, 10, 70, 25, 1198, 3, 0, 1, 2];
     let random = &mut Numbers(20);
@@ -113,7 +113,7 @@ pub fn many_keypoints() -> CompactScene {
     draft.finish()
 }
 
-/// Gaussians at eight points, of which most are at several: curve keys are equal and neighbours are tied. Colours of 12
+/// Gaussians at eight points, most of which hold several: curve keys are equal and neighbours are tied. Colours of 12
 /// bits are nearly grey.
 pub fn crowd() -> CompactScene {
     let random = &mut Numbers(21);
@@ -124,7 +124,7 @@ pub fn crowd() -> CompactScene {
         let at: [i16; 3] = std::array::from_fn(|_| random.below(2) as i16);
         draft.set(Attribute::Mean, gaussian, &[0], &[&at]);
         draft.set_width(Attribute::Color, gaussian, 12);
-        // Grey by and by: neighbours say little of a colour, its first component much.
+        // Nearly grey: neighbours predict a colour badly, its first component predicts it well.
         let spread = 4 + random.below(9);
         let grey = random.below(1 << spread) as i16 - (1 << (spread - 1));
         let color: [i16; 3] =
@@ -135,8 +135,8 @@ pub fn crowd() -> CompactScene {
     draft.finish()
 }
 
-/// A Gaussian of fine steps beside one of steps a million times as coarse, and others that move as it does: what is
-/// expected of its codes is far beyond them.
+/// A Gaussian of coarse steps among Gaussians of steps a million times finer, all moving: predictions lie far beyond
+/// the range of the codes.
 pub fn clamps() -> CompactScene {
     let random = &mut Numbers(22);
     let mut draft = Draft::new(12, 12);
@@ -157,8 +157,8 @@ pub fn clamps() -> CompactScene {
     draft.finish()
 }
 
-/// Quaternions without a length, of a length beyond all floats, and on the way from one to its opposite; scales beyond
-/// all floats, and opacities further apart than a float says.
+/// Quaternions of length zero, of a length beyond all floats, and interpolated to their opposite; scales beyond all
+/// floats, and opacities whose difference overflows a float.
 pub fn beyond_floats() -> CompactScene {
     let mut draft = Draft::new(6, 5);
     for (gaussian, (width, step)) in [(5, 1e-25), (6, 1e30), (7, 3e38)].into_iter().enumerate() {
@@ -178,7 +178,7 @@ pub fn beyond_floats() -> CompactScene {
     draft.finish()
 }
 
-/// One segment for 65,536 timesteps in which nothing moves, although a segment is to be of one.
+/// One segment for 65,536 timesteps in which nothing moves, although the segment length is 1.
 pub fn still() -> CompactScene {
     let mut draft = Draft::new(1, 65_536);
     draft.scene.segment_length = 1;

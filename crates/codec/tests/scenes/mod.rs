@@ -22,15 +22,15 @@ impl Random {
         (self.next() >> 40) as f32 / (1 << 24) as f32
     }
 
-    /// Of mean 0 and variance 1, near enough.
+    /// Approximately normal, with mean 0 and variance 1.
     pub fn normal(&mut self) -> f32 {
         (0..12).map(|_| self.uniform()).sum::<f32>() - 6.0
     }
 }
 
-/// A room, 6 m by 6 m by 3 m, in which 20 % of the Gaussians, on two spheres of half a metre, move along
-/// smooth paths and turn; the rest stands still on the walls. Every timestep adds the noise of an
-/// optimisation: 1 mm, 0.003 in quaternions, 0.004 in colours.
+/// A room of 6 m by 6 m by 3 m. One fifth of the Gaussians, on two spheres of half a metre, move along smooth paths and
+/// turn; the rest stands still on the walls. Every timestep adds the noise of an optimisation: 1 mm, 0.003 in
+/// quaternions, 0.004 in colours.
 pub fn room(num_gaussians: usize, num_timesteps: usize) -> DynamicGaussians {
     let random = &mut Random(7);
     let mut base = Gaussians::zeros(num_gaussians);
@@ -84,7 +84,7 @@ pub fn room(num_gaussians: usize, num_timesteps: usize) -> DynamicGaussians {
     scene
 }
 
-/// Widths of 4 to 8 bits of mean 5.5, at random.
+/// Random widths of 4 to 8 bits with mean 5.5.
 pub fn mixed_widths(num_gaussians: usize) -> BitMap {
     let random = &mut Random(11);
     let mut map = BitMap::uniform(num_gaussians, 16, 4);

@@ -1,4 +1,4 @@
-//! Running the command, and the small capture it runs on.
+//! Runs the command on a small capture.
 
 pub mod server;
 pub mod videos;
@@ -22,7 +22,7 @@ pub const SETTINGS: SyntheticSettings = SyntheticSettings {
     seed: 0,
 };
 
-/// A capture for all tests of a file; nobody writes to it.
+/// A capture shared by all tests of a file, never changed.
 pub fn capture() -> &'static Path {
     static CAPTURE: OnceLock<TempDir> = OnceLock::new();
     CAPTURE
@@ -34,12 +34,12 @@ pub fn capture() -> &'static Path {
         .path()
 }
 
-/// The command.
+/// The `tcgs` command without its arguments.
 pub fn tcgs() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_tcgs"));
-    // A layer of Mesa's Vulkan drivers, which writes to standard error where there is no desktop.
+    // A layer of Mesa's Vulkan drivers writes to standard error if there is no desktop.
     command.env("NODEVICE_SELECT", "1");
-    // Tests say themselves whether LPIPS is measured.
+    // Each test itself decides whether LPIPS is measured.
     command.env_remove("TCGS_LPIPS_WEIGHTS");
     command
 }
@@ -49,12 +49,12 @@ pub fn text(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
-/// What the command says and how it ends.
+/// Runs the command; returns its output and exit status.
 pub fn run(arguments: &[&str]) -> Output {
     tcgs().args(arguments).output().unwrap()
 }
 
-/// Runs what must succeed, and returns its standard output.
+/// Runs a command that must succeed, and returns its standard output.
 pub fn succeed(arguments: &[&str]) -> String {
     let output = run(arguments);
     let message = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -62,7 +62,7 @@ pub fn succeed(arguments: &[&str]) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// Runs what must fail with an exit code, and returns its message: one line.
+/// Runs a command that must fail with an exit code, and returns its message of one line.
 pub fn fail(code: i32, arguments: &[&str]) -> String {
     let output = run(arguments);
     let message = String::from_utf8(output.stderr).unwrap();
@@ -75,8 +75,8 @@ pub fn fail(code: i32, arguments: &[&str]) -> String {
     line.to_owned()
 }
 
-/// Trains a short run in `folder` and returns its path. So short a training leaves much unexplained: without births the number
-/// of Gaussians stays the same, which some formats ask for.
+/// Trains a short run in `folder` and returns its path. A training this short leaves large errors, where births would
+/// add Gaussians. Without births their number is constant, which some formats require.
 pub fn train(folder: &TempDir, name: &str, more: &[&str]) -> PathBuf {
     let run = folder.path().join(name);
     let whole = ["train", text(capture()), "--out", text(&run), "--iterations", "30,10"];
@@ -85,7 +85,7 @@ pub fn train(folder: &TempDir, name: &str, more: &[&str]) -> PathBuf {
     run
 }
 
-/// A result for machines.
+/// Reads a JSON result.
 pub fn json(path: &Path) -> Value {
     serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
 }

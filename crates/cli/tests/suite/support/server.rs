@@ -14,7 +14,7 @@ pub fn has_page() -> bool {
     built
 }
 
-/// Ends with the test; the rest of what it says.
+/// A server that ends with the test, and the rest of its output.
 pub struct Running(pub Child, pub BufReader<ChildStdout>);
 
 impl Drop for Running {
@@ -24,7 +24,7 @@ impl Drop for Running {
     }
 }
 
-/// Starts a server, and reads its port from the line that names its address.
+/// Starts a server and reads its port from the line with its address.
 pub fn start(arguments: &[&str]) -> (Running, u16) {
     let mut child = tcgs().args(arguments).stdout(Stdio::piped()).spawn().unwrap();
     let lines = BufReader::new(child.stdout.take().unwrap());
@@ -37,9 +37,9 @@ pub fn start(arguments: &[&str]) -> (Running, u16) {
     (running, port)
 }
 
-/// Head and body of an answer.
+/// Head and body of a response.
 ///
-/// - `headers`: further ones, each with its end of line
+/// - `headers`: additional headers, each with its end of line
 pub fn ask(port: u16, path: &str, headers: &str) -> (String, Vec<u8>) {
     let mut connection = TcpStream::connect(("127.0.0.1", port)).unwrap();
     connection.set_read_timeout(Some(Duration::from_secs(60))).unwrap();

@@ -1,4 +1,4 @@
-//! Videos as people have them, made of a synthetic capture. Needs the program `ffmpeg`.
+//! Videos like those of users, made from a synthetic capture. Needs the program `ffmpeg`.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -10,26 +10,26 @@ use tempfile::TempDir;
 /// Frames per second.
 const RATE: u32 = 20;
 
-/// Whether `ffmpeg` is there; without it a test is skipped unless `REQUIRE_FFMPEG` is set.
+/// Whether `ffmpeg` is installed; without it a test is skipped, unless `REQUIRE_FFMPEG` is set.
 pub fn has_ffmpeg() -> bool {
     let found = Command::new("ffmpeg").arg("-version").stdout(Stdio::null()).status().is_ok();
     assert!(found || std::env::var_os("REQUIRE_FFMPEG").is_none(), "REQUIRE_FFMPEG is set, and there is no ffmpeg");
     if !found {
-        // Past the capture of passing tests: a skip is to be seen.
+        // Written past the test harness's capture, so that a skip is visible.
         let _ = writeln!(std::io::stderr(), "skipped: there is no ffmpeg");
     }
     found
 }
 
-/// Videos `videos/cam0.mp4` … of a synthetic capture in `truth`, camera `i` without its first `i % 3` frames, with a
-/// calibration; and a file `offsets.txt` beside them.
+/// Videos `videos/cam0.mp4` … of a synthetic capture in `truth`, with a calibration, and a file `offsets.txt` beside
+/// them. Camera `i` lacks its first `i % 3` frames.
 ///
 /// - `num_frames`: of the first camera
 pub fn videos(folder: &TempDir, num_frames: usize) -> PathBuf {
     videos_of(folder, num_frames, [96, 72])
 }
 
-/// As [`videos`], of that many pixels.
+/// As [`videos`], with a given size in pixels.
 pub fn videos_of(folder: &TempDir, num_frames: usize, [width, height]: [usize; 2]) -> PathBuf {
     let (truth, path) = (folder.path().join("truth"), folder.path().join("videos"));
     let settings = SyntheticSettings { width, height, num_timesteps: num_frames, ..SyntheticSettings::default() };

@@ -1,5 +1,4 @@
-//! The containers of both versions (`docs/FORMAT.md`, "Container"): where sections lie in a file, and checksums around
-//! them.
+//! The containers of both versions (`docs/FORMAT.md`, "Container"): positions of sections in a file, and checksums.
 
 pub(super) mod version_1;
 pub(super) mod version_2;
@@ -9,7 +8,7 @@ use crate::error::DecodeError;
 
 /// The first four bytes of every `.tcgs` file.
 pub const MAGIC: Tag = *b"TCGS";
-/// Bytes from which the length of the header follows; of a version that is not known yet those of the shortest.
+/// Number of bytes that give the length of the header; for an unknown version the smallest such number.
 pub(super) fn fixed_bytes(start: &[u8]) -> usize {
     match start.get(MAGIC.len()..MAGIC.len() + 2) {
         Some([2, 0]) => version_2::FIXED_BYTES,
@@ -17,15 +16,15 @@ pub(super) fn fixed_bytes(start: &[u8]) -> usize {
     }
 }
 
-/// A checksum that a fuzzer need not guess.
+/// Whether a checksum matches; always true when fuzzing, since a fuzzer cannot guess checksums.
 fn agrees(checksum: u32, hash: u32) -> bool {
     cfg!(fuzzing) || checksum == hash
 }
 
-/// Version and length of the header, if the bytes reach far enough to tell.
+/// Version and length of the header; `None` if the bytes end before them.
 ///
 /// # Errors
-/// If this is no file of a version known.
+/// If this is not a file of a known version.
 pub(super) fn length_of_header(start: &[u8]) -> Result<Option<(u16, usize)>, DecodeError> {
     let known = start.len().min(MAGIC.len());
     let mut cursor = Cursor::new("header", 0, start);

@@ -16,12 +16,12 @@ use crate::limits::{Budget, DecodeLimits};
 pub(super) const FIXED_BYTES: usize = 16;
 /// Tag, segment, layer, length, checksum.
 const ENTRY_BYTES: usize = 16;
-/// Where the checksum of the header lies.
+/// Offset of the header's checksum.
 const CHECKSUM_AT: usize = 12;
-/// Most sections: all attributes of 65,535 segments are more than anyone needs.
+/// Largest number of sections: more than all attributes of 65,535 segments in practice.
 const MAX_SECTIONS: u32 = 1 << 20;
 
-/// Sections that version 1 knows and that are not optional.
+/// Tags of the mandatory sections that version 1 knows.
 const KNOWN: [Tag; 8] = [INFO, PLAN, MAPS, *b"MEAN", *b"QUAT", *b"SCAL", *b"OPAC", *b"COLR"];
 
 /// A section to be written.
@@ -39,18 +39,18 @@ impl Part {
     }
 }
 
-/// Writes a file section after section, and in the end its table of contents.
+/// Writes a file section by section, and at the end its table of contents.
 pub(in super::super) struct Writer<'a, W> {
     file: &'a mut W,
     /// Position of the file's first byte.
     start: u64,
-    /// Header and the entries of the sections written so far; the checksum is 0.
+    /// Header and the entries of the sections written so far; the checksum is still 0.
     header: Vec<u8>,
     num_sections: usize,
 }
 
 impl<'a, W: Write + Seek> Writer<'a, W> {
-    /// Leaves room for the header.
+    /// Reserves space for the header.
     ///
     /// # Errors
     /// [`CompressError`] if there are more than 2^20 sections or the file cannot be written.
@@ -86,13 +86,13 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
         Ok(self.file.write_all(&part.bytes)?)
     }
 
-    /// Writes the header, after all sections; the file then stands at its end.
+    /// Writes the header, after all sections; leaves the position at the end of the file.
     ///
     /// # Errors
     /// [`CompressError::Io`] if the file cannot be written.
     ///
     /// # Panics
-    /// If another number of sections was written than [`Self::new`] was told.
+    /// If the number of sections written differs from that given to [`Self::new`].
     pub(in super::super) fn finish(mut self) -> Result<(), CompressError> {
         assert_eq!(self.header.len(), header_bytes(self.num_sections), "bytes of the table of contents");
         let checksum = header_checksum(&self.header);
@@ -110,7 +110,7 @@ fn header_bytes(num_sections: usize) -> usize {
     FIXED_BYTES + num_sections * ENTRY_BYTES
 }
 
-/// CRC-32 of the header without the field of the checksum.
+/// CRC-32 of the header without its checksum field.
 fn header_checksum(header: &[u8]) -> u32 {
     let mut hasher = crc32fast::Hasher::new();
     hasher.update(&header[..CHECKSUM_AT]);
@@ -118,10 +118,10 @@ fn header_checksum(header: &[u8]) -> u32 {
     hasher.finalize()
 }
 
-/// Length of the header, if the bytes reach far enough to tell.
+/// Length of the header; `None` if the bytes end before it.
 ///
 /// - `cursor`: after the version
-/// - `found`: bytes of the file that are there
+/// - `found`: number of bytes available
 pub(super) fn length_of_header(mut cursor: Cursor<'_>, found: usize) -> Result<Option<usize>, DecodeError> {
     if found < FIXED_BYTES {
         return Ok(None);
@@ -138,7 +138,7 @@ pub(super) fn length_of_header(mut cursor: Cursor<'_>, found: usize) -> Result<O
 
 /// Opens a file from its first bytes.
 ///
-/// - `header`: of the length that [`length_of_header`] gives
+/// - `header`: its length is that of [`length_of_header`]
 pub(in super::super) fn open(header: &[u8], start: &[u8], limits: &DecodeLimits) -> Result<Opening, DecodeError> {
     let entries = read_header(header)?;
     let head_end = entries.iter().filter(|e| e.tag == INFO || e.tag == PLAN).map(|e| e.range.end).max();
@@ -199,9 +199,9 @@ pub(in super::super) fn open(header: &[u8], start: &[u8], limits: &DecodeLimits)
     Ok(Opening::Ready(Box::new(Archive::of_one(length, entries, cohort, limits))))
 }
 
-/// The table of contents.
+/// Reads the table of contents.
 ///
-/// - `header`: of the length that [`length_of_header`] gives
+/// - `header`: its length is that of [`length_of_header`]
 fn read_header(header: &[u8]) -> Result<Vec<Entry>, DecodeError> {
     let mut cursor = Cursor::new("header", 0, header);
     cursor.take("header", CHECKSUM_AT)?;

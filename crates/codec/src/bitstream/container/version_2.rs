@@ -1,5 +1,5 @@
-//! The container of version 2: a header, sections that describe the whole scene, and the pieces of cohorts, ordered by
-//! the timesteps at which they are needed.
+//! The container of version 2: a header, sections that describe the whole scene, and the pieces of cohorts in the order
+//! in which playback needs them.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -20,21 +20,21 @@ pub(super) const FIXED_BYTES: usize = 20;
 const ENTRY_BYTES: usize = 24;
 /// An entry of `COHO`.
 const PLACE_BYTES: usize = 36;
-/// Where the checksum of the header lies.
+/// Offset of the header's checksum.
 const CHECKSUM_AT: usize = 16;
-/// Most cohorts.
+/// Largest number of cohorts.
 const MAX_COHORTS: usize = 1 << 20;
 /// Flag of a cohort in which Gaussians have first and last timesteps of their own.
 const HAS_LIVES: u8 = 1;
-/// Flag of a cohort: drawn with antialiasing, as all others of the file.
+/// Flag of a cohort: drawn with antialiasing, like all others of the file.
 const IS_ANTIALIASED: u8 = 2;
-/// What is wrong if only some are.
+/// Problem of a file in which only some cohorts are antialiased.
 pub(in super::super) const MIXED: &str = "antialiased, unlike another cohort, or the other way round";
 
-/// Length of the header, if the bytes reach far enough to tell.
+/// Length of the header; `None` if the bytes end before it.
 ///
 /// - `cursor`: after the version
-/// - `found`: bytes of the file that are there
+/// - `found`: number of bytes available
 pub(super) fn length_of_header(mut cursor: Cursor<'_>, found: usize) -> Result<Option<usize>, DecodeError> {
     if found < FIXED_BYTES {
         return Ok(None);
@@ -46,7 +46,7 @@ pub(in super::super) fn header_bytes(num_sections: usize) -> usize {
     FIXED_BYTES + num_sections * ENTRY_BYTES
 }
 
-/// CRC-32 of the header without the field of the checksum.
+/// CRC-32 of the header without its checksum field.
 fn header_checksum(header: &[u8]) -> u32 {
     let mut hasher = crc32fast::Hasher::new();
     hasher.update(&header[..CHECKSUM_AT]);
@@ -56,7 +56,7 @@ fn header_checksum(header: &[u8]) -> u32 {
 
 /// Opens a file from its first bytes.
 ///
-/// - `header`: of the length that [`length_of_header`] gives
+/// - `header`: its length is that of [`length_of_header`]
 pub(in super::super) fn open(header: &[u8], start: &[u8], limits: &DecodeLimits) -> Result<Opening, DecodeError> {
     let mut cursor = Cursor::new("header", 0, header);
     cursor.take("header", 8)?;
@@ -98,7 +98,7 @@ pub(in super::super) fn open(header: &[u8], start: &[u8], limits: &DecodeLimits)
     Ok(Opening::Ready(Box::new(Archive::of_many(length, entries, info, places, limits))))
 }
 
-/// The section `COHO`.
+/// Reads the section `COHO`.
 ///
 /// - `start`: offset of the first piece
 /// - `length`: of the file
@@ -164,11 +164,11 @@ fn write_places(places: &[Place]) -> Vec<u8> {
     bytes
 }
 
-/// The head of a cohort: its division, its plan, and where its sections lie.
+/// Reads the head of a cohort: its division, its plan, and the positions of its sections.
 ///
-/// - `index`: which cohort
-/// - `shared`: the plan that it shares with another cohort; none if it has one of its own
-/// - `bytes`: from the start of the head
+/// - `index`: of the cohort
+/// - `shared`: the plan that it shares with another cohort; `None` if it has its own
+/// - `bytes`: start at the head
 /// - `length`: of the file
 pub(in super::super) fn read_head(
     index: usize,
@@ -220,7 +220,7 @@ pub(in super::super) fn read_head(
     };
     head.check().map_err(|violation| cursor.invalid(violation.field, violation.problem))?;
     let num_layers = head.layers.len();
-    // The rest of the head has eight bytes for each section, and eight more for each segment.
+    // The rest of the head has eight bytes per section, and eight more per segment.
     let of_shared: Vec<Tag> = head.plan.listed().map(|listed| listed.tag()).collect();
     let varying: Vec<Tag> = head.plan.listed_varying().map(|listed| listed.tag()).collect();
     let has_segments = !varying.is_empty();
@@ -266,7 +266,7 @@ pub(in super::super) fn read_head(
     Ok((head, sections))
 }
 
-/// A cohort that is encoded, but for its place in the file.
+/// An encoded cohort without a position in the file.
 pub(in super::super) struct Encoded {
     pub(in super::super) head: Head,
     /// The shared layers, section by section.
@@ -275,19 +275,19 @@ pub(in super::super) struct Encoded {
     pub(in super::super) segments: Vec<Vec<Vec<u8>>>,
 }
 
-/// Where a piece comes in the file: by the first timestep at which it is needed, by cohort, and the head of a cohort
-/// before its segments.
+/// Sort key of a piece in the file: the first timestep at which it is needed, the cohort, and the segment. `None` is
+/// the head, which precedes the cohort's segments.
 type PieceKey = (usize, usize, Option<usize>);
 
-/// A cohort's head, until the offsets of all of its segments are known.
+/// A cohort's head whose segments do not all have offsets yet.
 struct OpenHead {
     bytes: Vec<u8>,
-    /// Where in `bytes` the offset of each segment goes.
+    /// Positions in `bytes` of the offset fields of the segments.
     offsets_at: Vec<usize>,
     segments_left: usize,
 }
 
-/// Writes a file cohort by cohort. Memory holds those encoded segments that come after the start of the cohort added last.
+/// Writes a file cohort by cohort. Memory holds the encoded segments that start after the cohort added last.
 pub(in super::super) struct Writer<'a, W> {
     file: &'a mut W,
     /// Position of the file's first byte.
@@ -305,7 +305,7 @@ pub(in super::super) struct Writer<'a, W> {
 }
 
 impl<'a, W: Write + Seek> Writer<'a, W> {
-    /// Leaves room for the header and what describes the scene, and writes further sections.
+    /// Reserves space for the header and the description of the scene, and writes further sections.
     ///
     /// - `info`: of the whole scene
     /// - `further`: tag and content of optional sections
@@ -353,12 +353,12 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
         })
     }
 
-    /// What holds for the whole scene.
+    /// Description of the whole scene.
     pub(in super::super) fn info(&self) -> &Info {
         &self.info
     }
 
-    /// The same, to be changed before [`Self::finish`] writes it; its length must stay.
+    /// [`Self::info`] for changes before [`Self::finish`] writes it; its encoded length must stay the same.
     pub(in super::super) fn info_mut(&mut self) -> &mut Info {
         &mut self.info
     }
@@ -373,7 +373,7 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
         }
     }
 
-    /// The plans of the cohorts so far that have one of their own.
+    /// The plans of the cohorts so far that have their own.
     pub(in super::super) fn plans(&self) -> impl Iterator<Item = &Arc<Plan>> {
         let own = self.places.iter().enumerate().filter(|(index, place)| place.plan as usize == *index);
         own.map(|(index, _)| &self.plans[index])
@@ -385,7 +385,7 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
     /// [`CompressError`] if a section is of 4 GiB or more, or the file cannot be written.
     ///
     /// # Panics
-    /// If there are more cohorts than [`Self::new`] was told, or one begins before the one added last.
+    /// If there are more cohorts than were announced to [`Self::new`], or one begins before the one added last.
     pub(in super::super) fn add(&mut self, cohort: Encoded) -> Result<(), CompressError> {
         let (head, index) = (cohort.head, self.places.len());
         assert!(index < self.num_cohorts, "cohort {index} of {}", self.num_cohorts);
@@ -429,11 +429,11 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
         }
         self.heads.push(Some(OpenHead { bytes, segments_left: offsets_at.len(), offsets_at }));
         self.plans.push(head.plan);
-        // Cohorts to come begin here or later.
+        // Later cohorts begin here or later.
         self.write_before(head.start)
     }
 
-    /// Writes what is needed before a timestep.
+    /// Writes the pieces that are needed before a timestep.
     fn write_before(&mut self, timestep: usize) -> Result<(), CompressError> {
         let later = self.waiting.split_off(&(timestep, 0, None));
         for ((_, cohort, segment), bytes) in std::mem::replace(&mut self.waiting, later) {
@@ -459,13 +459,13 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
         Ok(())
     }
 
-    /// Writes what is left, and the start of the file; the file then stands at its end.
+    /// Writes the remaining pieces, and the start of the file; leaves the position at the end of the file.
     ///
     /// # Errors
     /// [`CompressError::Io`] if the file cannot be written.
     ///
     /// # Panics
-    /// If there are fewer cohorts than [`Self::new`] was told.
+    /// If there are fewer cohorts than were announced to [`Self::new`].
     pub(in super::super) fn finish(mut self) -> Result<(), CompressError> {
         assert_eq!(self.places.len(), self.num_cohorts, "cohorts");
         self.write_before(usize::MAX)?;
@@ -497,7 +497,7 @@ fn length_of(what: &str, found: usize) -> Result<u32, CompressError> {
     u32::try_from(found).map_err(|_| CompressError::Count { what: format!("bytes of a {what}"), found, expected })
 }
 
-/// Length and checksum of a section, into the head of a cohort.
+/// Appends length and checksum of a section to the head of a cohort.
 fn write_entry(head: &mut Vec<u8>, section: &[u8]) -> Result<(), CompressError> {
     head.extend(length_of("section", section.len())?.to_le_bytes());
     head.extend(crc32fast::hash(section).to_le_bytes());
