@@ -83,7 +83,8 @@ fn harmonics_that_the_header_declares_may_be_missing() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.4dgs");
     let whole = ::fourdgs::read_bytes(&std::fs::read(file("fourdgs_births.4dgs")).unwrap()).unwrap();
-    let options = WriteOptions { sh_bands: 2, ..WriteOptions::default() };
+    // Colours that were rounded once may err by more than the writer allows.
+    let options = WriteOptions { sh_bands: 2, verify: false, ..WriteOptions::default() };
     let written =
         ::fourdgs::write_to_vec(&whole.gaussians, whole.duration_sec, &options, &SceneExtras::default()).unwrap();
     assert_eq!(::fourdgs::read_bytes(&written).unwrap().header.sh_degree, 3);

@@ -16,8 +16,8 @@ use crate::PipelineError;
 /// Error that refinement is left to take back. Shares are of the mean squared error of training images.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Allowance {
-    /// Growth by rounding and keypoints: the quality falls, or rises, until they cause about so much. None: the settings stay.
-    /// Default 0.15.
+    /// Growth by rounding and keypoints. The quality falls, or rises, until they cause two thirds of it. Then positions get
+    /// coarser until they cause all. None: the settings stay. Default 0.15.
     pub rounding: Option<f32>,
     /// Growth by removal of Gaussians, of which those go first whose bytes lower the error least. Default 0.1; 0: all stay.
     pub removal: f32,
@@ -43,6 +43,12 @@ impl Allowance {
 /// Qualities that are chosen from, in steps of `1 / QUALITY_STEPS`.
 const QUALITIES: Range<i32> = -12..5;
 const QUALITY_STEPS: f32 = 4.0;
+/// Qualities of positions that are chosen from, relative to that of the scene, in steps of `1 / POSITION_STEPS`.
+const POSITION_QUALITIES: Range<i32> = -6..1;
+const POSITION_STEPS: f32 = 2.0;
+/// Share of the allowed growth that goes to the quality. In a long scene positions take most bytes, and more of them than
+/// their errors are worth.
+const QUALITY_SHARE: f32 = 2.0 / 3.0;
 /// Views that tell the error at a quality, about.
 const NUM_JUDGES: usize = 32;
 /// Largest share of the Gaussians that is removed.
@@ -58,53 +64,95 @@ pub(super) struct Visit {
     pub corrections: Vec<[[f32; 3]; 2]>,
 }
 
-/// Scenes that [`choose_quality`] measures at most: the floats, and a bisection of [`QUALITIES`].
-pub(super) const NUM_MEASURED: usize = 6;
+/// Scenes that [`choose`] measures at most: the floats, and two bisections.
+pub(super) const NUM_MEASURED: usize = 9;
 
-/// The quality at which rounding and keypoints let the error grow by about a share of it.
+/// Settings that are chosen by training images.
+pub(super) struct Choice {
+    pub quality: f32,
+    pub settings: CompressSettings,
+}
+
+/// The coarsest settings whose rounding and keypoints let the error grow by at most about a share of it.
 ///
 /// - `settings`: those of quality 0
 /// - `visited`: called after each visit of each scene that is measured
-pub(super) fn choose_quality(
+pub(super) fn choose(
     pruned: &PrunedScene<'_>,
     settings: &CompressSettings,
     visits: &[Visit],
     share: f32,
     visited: &mut dyn FnMut(&Visit) -> Result<(), PipelineError>,
-) -> Result<f32, PipelineError> {
-    let Pruned::Whole { kept, lives, .. } = &pruned.content else { return Ok(0.0) };
-    let is_alive = |gaussian: usize, timestep: usize| {
-        lives.as_ref().is_none_or(|lives| {
-            let [first, last] = lives[gaussian].map(usize::from);
-            (first..=last).contains(&timestep)
+) -> Result<Choice, PipelineError> {
+    let mut scales = Scales { pruned, visits, visited };
+    let floats = scales.error_of_floats()?;
+    let most = |part: f32| f64::from(1.0 + part * share) * floats;
+    let quality_of = |step: i32| step as f32 / QUALITY_STEPS;
+    let of_quality = |step| settings.clone().with_quality(quality_of(step));
+    let quality = scales.coarsest(QUALITIES, most(QUALITY_SHARE), &of_quality)?;
+    let of_positions = |step: i32| of_quality(quality).with_position_quality(step as f32 / POSITION_STEPS);
+    let positions = scales.coarsest(POSITION_QUALITIES, most(1.0), &of_positions)?;
+    Ok(Choice { quality: quality_of(quality), settings: of_positions(positions) })
+}
+
+/// Weighs settings by training images.
+struct Scales<'a> {
+    pruned: &'a PrunedScene<'a>,
+    visits: &'a [Visit],
+    visited: &'a mut dyn FnMut(&Visit) -> Result<(), PipelineError>,
+}
+
+impl Scales<'_> {
+    /// The lowest step of a range whose settings keep the error within `most`; its last one if none does.
+    fn coarsest(
+        &mut self,
+        steps: Range<i32>,
+        most: f64,
+        settings_of: &dyn Fn(i32) -> CompressSettings,
+    ) -> Result<i32, PipelineError> {
+        // `high` is fine enough, or the finest there is; `low` is not fine enough.
+        let (mut low, mut high) = (steps.start - 1, steps.end - 1);
+        while high - low > 1 {
+            let middle = low.midpoint(high);
+            let error = self.error_of(&settings_of(middle))?;
+            if error <= most { high = middle } else { low = middle }
+        }
+        Ok(high)
+    }
+
+    fn error_of_floats(&mut self) -> Result<f64, PipelineError> {
+        let Pruned::Whole { kept, lives, .. } = &self.pruned.content else { return Ok(0.0) };
+        self.sum(kept.num_gaussians(), &|timestep| kept.at(timestep), &|gaussian, timestep| {
+            lives.as_ref().is_none_or(|lives| {
+                let [first, last] = lives[gaussian].map(usize::from);
+                (first..=last).contains(&timestep)
+            })
         })
-    };
-    let num_views: usize = visits.iter().map(|visit| visit.views.len()).sum();
-    let stride = num_views.div_ceil(NUM_JUDGES).max(1);
-    let mut error_of = |at: &dyn Fn(usize) -> Result<Gaussians, PipelineError>| -> Result<f64, PipelineError> {
+    }
+
+    fn error_of(&mut self, settings: &CompressSettings) -> Result<f64, PipelineError> {
+        let Some((compact, _)) = self.pruned.symbols(settings)? else { return Ok(0.0) };
+        let is_alive = |gaussian: usize, timestep: usize| compact.is_alive(gaussian, timestep);
+        self.sum(compact.num_gaussians(), &|timestep| Ok(compact.at(timestep)), &is_alive)
+    }
+
+    /// Mean squared errors of some views, summed.
+    fn sum(
+        &mut self,
+        num_gaussians: usize,
+        at: &dyn Fn(usize) -> Result<Gaussians, PipelineError>,
+        is_alive: &dyn Fn(usize, usize) -> bool,
+    ) -> Result<f64, PipelineError> {
+        let num_views: usize = self.visits.iter().map(|visit| visit.views.len()).sum();
+        let stride = num_views.div_ceil(NUM_JUDGES).max(1);
         let mut sum = 0.0;
-        for visit in visits {
-            let gaussians = at(visit.timestep)?;
-            let is_hidden: Vec<bool> =
-                (0..gaussians.num_gaussians()).map(|gaussian| !is_alive(gaussian, visit.timestep)).collect();
-            sum += visit.with(&gaussians, &is_hidden).error_without(&[], stride);
-            visited(visit)?;
+        for visit in self.visits {
+            let is_hidden: Vec<bool> = (0..num_gaussians).map(|gaussian| !is_alive(gaussian, visit.timestep)).collect();
+            sum += visit.with(&at(visit.timestep)?, &is_hidden).error_without(&[], stride);
+            (self.visited)(visit)?;
         }
         Ok(sum)
-    };
-    let most = f64::from(1.0 + share) * error_of(&|timestep| kept.at(timestep))?;
-    let quality = |step: i32| step as f32 / QUALITY_STEPS;
-    // `high` is fine enough, or the finest there is; `low` is not fine enough.
-    let (mut low, mut high) = (QUALITIES.start - 1, QUALITIES.end - 1);
-    while high - low > 1 {
-        let middle = low.midpoint(high);
-        let Some((compact, order)) = pruned.symbols(&settings.clone().with_quality(quality(middle)))? else { break };
-        let mut rows = vec![0; order.len()];
-        order.iter().enumerate().for_each(|(gaussian, &row)| rows[row] = gaussian);
-        let error = error_of(&|timestep| Ok(compact.at(timestep).select(&rows)))?;
-        if error <= most { high = middle } else { low = middle }
     }
-    Ok(quality(high))
 }
 
 /// The scene without the Gaussians whose bytes lower the error least.

@@ -14,7 +14,7 @@ use tcgs_render::{CpuRasterizer, Rasterizer};
 use tcgs_train::{Preset, RefineConfig, Refiner, TrainConfig, refine_order};
 
 use super::parts::are_followed;
-use super::rate::{Allowance, NUM_MEASURED, Visit, choose_quality, without_dear};
+use super::rate::{Allowance, NUM_MEASURED, Visit, choose, without_dear};
 use super::{Errors, Judge, Pruned, PrunedScene, SearchResult, Target, search};
 use crate::observe::tell;
 use crate::{Backend, Event, Observer, OpenScene, PipelineError, Work};
@@ -302,9 +302,8 @@ impl<'a> Images<'a> {
         if let Some(share) = allowance.rounding {
             tell(observer, Event::Begun { work: Work::Measuring, num_steps: NUM_MEASURED * visits.len() })?;
             let mut visited = |visit: &Visit| tell(observer, Event::Frame(self.scene.first_frame + visit.timestep));
-            let quality = choose_quality(pruned, settings, &visits, share, &mut visited)?;
-            chosen.quality = Some(quality);
-            chosen.settings = settings.clone().with_quality(quality);
+            let choice = choose(pruned, settings, &visits, share, &mut visited)?;
+            (chosen.quality, chosen.settings) = (Some(choice.quality), choice.settings);
         }
         if allowance.removal > 0.0 {
             let cheap = without_dear(pruned, &chosen.settings, &visits, allowance.removal)?;
