@@ -40,8 +40,8 @@ impl Allowance {
     }
 }
 
-/// Qualities that are chosen from, in steps of `1 / QUALITY_STEPS`.
-const QUALITIES: Range<i32> = -12..5;
+/// Qualities that are chosen from, in steps of `1 / QUALITY_STEPS`. Below -2 SSIM falls faster than the squared error tells.
+const QUALITIES: Range<i32> = -8..5;
 const QUALITY_STEPS: f32 = 4.0;
 /// Qualities of positions that are chosen from, relative to that of the scene, in steps of `1 / POSITION_STEPS`.
 const POSITION_QUALITIES: Range<i32> = -6..1;
