@@ -246,6 +246,8 @@ pub fn refine_within(
 
 /// Visits of timesteps whose images choose quality and Gaussians.
 const NUM_VISITS: usize = 12;
+/// Pixels of these images together, about: 1.6 GB.
+const MOST_PIXELS: usize = 1 << 27;
 
 /// What is refined.
 struct Chosen<'r, 'a> {
@@ -312,13 +314,17 @@ impl<'a> Images<'a> {
         Ok(chosen)
     }
 
-    /// Views of timesteps of the whole scene, a third of the cameras at each.
+    /// Views of timesteps of the whole scene, a third of the cameras at each, or as many as memory has room for.
     fn visits(&self) -> Result<Vec<Visit>, PipelineError> {
         let num_timesteps = self.scene.num_timesteps();
-        // Three visits have all views of a timestep.
+        // Three visits have as many views as a timestep.
         let num_visits = NUM_VISITS.min(3 * num_timesteps);
         let order = refine_order(1, num_timesteps, self.num_views, None).take(num_visits);
-        let visit = |(timestep, cameras): (usize, Vec<usize>)| {
+        let views = self.capture.cameras(Split::Train, self.scene.first_frame, self.scene.downscale)?;
+        let pixels = views.iter().map(|(_, camera)| camera.width * camera.height).max().unwrap_or(1);
+        let most_views = (MOST_PIXELS / (num_visits * pixels)).max(1);
+        let visit = |(timestep, mut cameras): (usize, Vec<usize>)| {
+            cameras.truncate(most_views);
             let (timestep, views) = self.load(timestep, &cameras)?;
             let corrections = cameras.iter().map(|&camera| self.corrections[camera]).collect();
             Ok(Visit { timestep, views: views.into_iter().map(|(_, view)| view).collect(), corrections })
