@@ -173,16 +173,6 @@ impl CompressSettings {
         self
     }
 
-    /// These settings with finer or coarser positions: steps and tolerances as [`Self::with_quality`] changes them, of
-    /// positions alone.
-    ///
-    /// - `quality`: 0 changes nothing; below 0 positions are coarser; any finite number
-    pub fn with_position_quality(mut self, quality: f32) -> Self {
-        let (mean, positions) = (Attribute::Mean.index(), self.clone().with_quality(quality));
-        (self.max_mse[mean], self.position_fineness) = (positions.max_mse[mean], positions.position_fineness);
-        self
-    }
-
     /// These settings with smaller largest errors of some attributes ([`attribute_error`](crate::attribute_error)), and of
     /// all that share their entries; where several do, the largest factor counts. How much smaller depends on the scene;
     /// many times over the errors become as small as 16 bits make them.

@@ -16,8 +16,8 @@ use crate::PipelineError;
 /// Error that refinement is left to take back. Shares are of the mean squared error of training images.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Allowance {
-    /// Growth by rounding and keypoints. The quality falls, or rises, until they cause two thirds of it. Then positions get
-    /// coarser until they cause all. None: the settings stay. Default 0.15.
+    /// Growth by rounding and keypoints: the quality falls from 0 until they cause about so much. None: the settings stay.
+    /// Default 0.15.
     pub rounding: Option<f32>,
     /// Growth by removal of Gaussians, of which those go first whose bytes lower the error least. Default 0.1; 0: all stay.
     pub removal: f32,
@@ -33,6 +33,12 @@ impl Allowance {
     /// Settings and Gaussians stay as they are.
     pub const NONE: Self = Self { rounding: None, removal: 0.0 };
 
+    /// For a refinement of so many iterations: a short one takes less error back.
+    pub(super) fn within(self, iterations: usize) -> Self {
+        let share = (iterations as f32 / RECOVERY).min(1.0);
+        Self { rounding: self.rounding.map(|rounding| share * rounding), removal: share * self.removal }
+    }
+
     /// For settings of a given quality ([`CompressSettings::with_quality`]), which stay. Above 0 each step of 1 divides the
     /// allowed error by 4, as it does the error of rounding.
     pub fn at_quality(quality: f32) -> Self {
@@ -40,15 +46,11 @@ impl Allowance {
     }
 }
 
+/// Fewest iterations of a refinement that takes back the whole allowance.
+const RECOVERY: f32 = 1000.0;
 /// Qualities that are chosen from, in steps of `1 / QUALITY_STEPS`. Below -2 SSIM falls faster than the squared error tells.
-const QUALITIES: Range<i32> = -8..5;
+const QUALITIES: Range<i32> = -8..1;
 const QUALITY_STEPS: f32 = 4.0;
-/// Qualities of positions that are chosen from, relative to that of the scene, in steps of `1 / POSITION_STEPS`.
-const POSITION_QUALITIES: Range<i32> = -6..1;
-const POSITION_STEPS: f32 = 2.0;
-/// Share of the allowed growth that goes to the quality. In a long scene positions take most bytes, and more of them than
-/// their errors are worth.
-const QUALITY_SHARE: f32 = 2.0 / 3.0;
 /// Views that tell the error at a quality, about.
 const NUM_JUDGES: usize = 32;
 /// Largest share of the Gaussians that is removed.
@@ -64,35 +66,31 @@ pub(super) struct Visit {
     pub corrections: Vec<[[f32; 3]; 2]>,
 }
 
-/// Scenes that [`choose`] measures at most: the floats, and two bisections.
-pub(super) const NUM_MEASURED: usize = 9;
+/// Scenes that [`choose_quality`] measures at most: the floats, and a bisection of [`QUALITIES`].
+pub(super) const NUM_MEASURED: usize = 5;
 
-/// Settings that are chosen by training images.
-pub(super) struct Choice {
-    pub quality: f32,
-    pub settings: CompressSettings,
-}
-
-/// The coarsest settings whose rounding and keypoints let the error grow by at most about a share of it.
+/// The lowest quality at which rounding and keypoints let the error grow by at most about a share of it.
 ///
 /// - `settings`: those of quality 0
 /// - `visited`: called after each visit of each scene that is measured
-pub(super) fn choose(
+pub(super) fn choose_quality(
     pruned: &PrunedScene<'_>,
     settings: &CompressSettings,
     visits: &[Visit],
     share: f32,
     visited: &mut dyn FnMut(&Visit) -> Result<(), PipelineError>,
-) -> Result<Choice, PipelineError> {
+) -> Result<f32, PipelineError> {
     let mut scales = Scales { pruned, visits, visited };
-    let floats = scales.error_of_floats()?;
-    let most = |part: f32| f64::from(1.0 + part * share) * floats;
-    let quality_of = |step: i32| step as f32 / QUALITY_STEPS;
-    let of_quality = |step| settings.clone().with_quality(quality_of(step));
-    let quality = scales.coarsest(QUALITIES, most(QUALITY_SHARE), &of_quality)?;
-    let of_positions = |step: i32| of_quality(quality).with_position_quality(step as f32 / POSITION_STEPS);
-    let positions = scales.coarsest(POSITION_QUALITIES, most(1.0), &of_positions)?;
-    Ok(Choice { quality: quality_of(quality), settings: of_positions(positions) })
+    let most = f64::from(1.0 + share) * scales.error_of_floats()?;
+    let quality = |step: i32| step as f32 / QUALITY_STEPS;
+    // `high` is fine enough, or the finest there is; `low` is not fine enough.
+    let (mut low, mut high) = (QUALITIES.start - 1, QUALITIES.end - 1);
+    while high - low > 1 {
+        let middle = low.midpoint(high);
+        let error = scales.error_of(&settings.clone().with_quality(quality(middle)))?;
+        if error <= most { high = middle } else { low = middle }
+    }
+    Ok(quality(high))
 }
 
 /// Weighs settings by training images.
@@ -103,23 +101,6 @@ struct Scales<'a> {
 }
 
 impl Scales<'_> {
-    /// The lowest step of a range whose settings keep the error within `most`; its last one if none does.
-    fn coarsest(
-        &mut self,
-        steps: Range<i32>,
-        most: f64,
-        settings_of: &dyn Fn(i32) -> CompressSettings,
-    ) -> Result<i32, PipelineError> {
-        // `high` is fine enough, or the finest there is; `low` is not fine enough.
-        let (mut low, mut high) = (steps.start - 1, steps.end - 1);
-        while high - low > 1 {
-            let middle = low.midpoint(high);
-            let error = self.error_of(&settings_of(middle))?;
-            if error <= most { high = middle } else { low = middle }
-        }
-        Ok(high)
-    }
-
     fn error_of_floats(&mut self) -> Result<f64, PipelineError> {
         let Pruned::Whole { kept, lives, .. } = &self.pruned.content else { return Ok(0.0) };
         self.sum(kept.num_gaussians(), &|timestep| kept.at(timestep), &|gaussian, timestep| {

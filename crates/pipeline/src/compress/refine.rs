@@ -14,7 +14,7 @@ use tcgs_render::{CpuRasterizer, Rasterizer};
 use tcgs_train::{Preset, RefineConfig, Refiner, TrainConfig, refine_order};
 
 use super::parts::are_followed;
-use super::rate::{Allowance, NUM_MEASURED, Visit, choose, without_dear};
+use super::rate::{Allowance, NUM_MEASURED, Visit, choose_quality, without_dear};
 use super::{Errors, Judge, Pruned, PrunedScene, SearchResult, Target, search};
 use crate::observe::tell;
 use crate::{Backend, Event, Observer, OpenScene, PipelineError, Work};
@@ -124,13 +124,18 @@ pub fn refine(
         return Err(not_followed(scene));
     }
     let images = Images::open(scene, options)?;
-    let Chosen { quality, pruned, settings } = images.choose(pruned, settings, options.allowance, observer)?;
+    let num_iterations = images.num_iterations(pruned, settings, options, backend)?;
+    let allowance = options.allowance.within(num_iterations);
+    let Chosen { quality, pruned, settings } = images.choose(pruned, settings, allowance, observer)?;
     let (mut iterations, mut losses) = (0, [0.0; 2]);
     let mut change = |compact: CompactScene| {
+        let refiner = Refiner::new(compact, options.config);
         let refined = match backend {
-            Backend::Cpu => images.refine(&CpuRasterizer, compact, options, observer),
+            Backend::Cpu => images.refine(&CpuRasterizer, refiner, num_iterations, observer),
             #[cfg(feature = "gpu")]
-            Backend::Gpu(gpu) => images.refine(&tcgs_render::gpu::GpuRasterizer::new(gpu), compact, options, observer),
+            Backend::Gpu(gpu) => {
+                images.refine(&tcgs_render::gpu::GpuRasterizer::new(gpu), refiner, num_iterations, observer)
+            }
         };
         let (compact, light, done) = refined?;
         iterations = done.len();
@@ -191,7 +196,8 @@ pub fn refine_within(
         Target::Psnr(psnr) => Target::Psnr(psnr - EXPECTED_GAIN),
     };
     let images = Images::open(scene, options)?;
-    let allowance = Allowance { rounding: None, ..options.allowance };
+    let num_iterations = images.num_iterations(pruned, settings, options, backend)?;
+    let allowance = Allowance { rounding: None, ..options.allowance.within(num_iterations) };
     let Chosen { pruned, .. } = &images.choose(pruned, settings, allowance, observer)?;
     let options = &RefineOptions { allowance: Allowance::NONE, ..options.clone() };
     let mut best: Option<RefinedWithin> = None;
@@ -304,8 +310,9 @@ impl<'a> Images<'a> {
         if let Some(share) = allowance.rounding {
             tell(observer, Event::Begun { work: Work::Measuring, num_steps: NUM_MEASURED * visits.len() })?;
             let mut visited = |visit: &Visit| tell(observer, Event::Frame(self.scene.first_frame + visit.timestep));
-            let choice = choose(pruned, settings, &visits, share, &mut visited)?;
-            (chosen.quality, chosen.settings) = (Some(choice.quality), choice.settings);
+            let quality = choose_quality(pruned, settings, &visits, share, &mut visited)?;
+            chosen.quality = Some(quality);
+            chosen.settings = settings.clone().with_quality(quality);
         }
         if allowance.removal > 0.0 {
             let cheap = without_dear(pruned, &chosen.settings, &visits, allowance.removal)?;
@@ -337,30 +344,46 @@ impl<'a> Images<'a> {
         self.scene.num_timesteps() * refine_order(0, 1, self.num_views, None).next().map_or(1, |(_, views)| views.len())
     }
 
+    /// How many iterations a refinement takes. A budget of time is turned into iterations by timing some.
+    fn num_iterations(
+        &self,
+        pruned: &PrunedScene<'_>,
+        settings: &CompressSettings,
+        options: &RefineOptions,
+        backend: &Backend,
+    ) -> Result<usize, PipelineError> {
+        let budget = match options.budget {
+            RefineBudget::Iterations(count) => return Ok(count),
+            RefineBudget::Time(budget) => budget,
+        };
+        let Some((compact, _)) = pruned.symbols(settings)? else { return Ok(1) };
+        let begin = Instant::now();
+        let enough = budget.mul_f64(TIMED_SHARE);
+        let mut timed = Refiner::new(compact, options.config);
+        let mut go_on = |_| Ok(begin.elapsed() < enough);
+        let done = match backend {
+            Backend::Cpu => self.iterate(&CpuRasterizer, &mut timed, usize::MAX, &mut go_on),
+            #[cfg(feature = "gpu")]
+            Backend::Gpu(gpu) => {
+                self.iterate(&tcgs_render::gpu::GpuRasterizer::new(gpu), &mut timed, usize::MAX, &mut go_on)
+            }
+        };
+        let (done, taken) = (done?.len(), begin.elapsed());
+        let left = budget.saturating_sub(taken).as_secs_f64();
+        Ok(((left * done as f64 / taken.as_secs_f64()) as usize).max(1))
+    }
+
     fn refine<R: Rasterizer>(
         &self,
         rasterizer: &R,
-        compact: CompactScene,
-        options: &RefineOptions,
+        mut refiner: Refiner,
+        num_iterations: usize,
         observer: &mut dyn Observer,
     ) -> Result<(CompactScene, Light, Vec<f64>), PipelineError>
     where
         GpuError: From<R::Error>,
     {
-        let num_iterations = match options.budget {
-            RefineBudget::Iterations(count) => count,
-            RefineBudget::Time(budget) => {
-                let begin = Instant::now();
-                let enough = budget.mul_f64(TIMED_SHARE);
-                let mut timed = Refiner::new(compact.clone(), options.config);
-                let done = self.iterate(rasterizer, &mut timed, usize::MAX, &mut |_| Ok(begin.elapsed() < enough))?;
-                let taken = begin.elapsed();
-                let left = budget.saturating_sub(taken).as_secs_f64();
-                ((left * done.len() as f64 / taken.as_secs_f64()) as usize).max(1)
-            }
-        };
         tell(observer, Event::Begun { work: Work::Refining, num_steps: num_iterations })?;
-        let mut refiner = Refiner::new(compact, options.config);
         let losses = self.iterate(rasterizer, &mut refiner, num_iterations, &mut |frame| match tell(
             observer,
             Event::Frame(frame),
