@@ -262,7 +262,7 @@ impl Wanted {
         Ok(Some(RefineOptions { capture, budget, config, allowance }))
     }
 
-    /// What a refinement may change before it begins: nothing that the caller says.
+    /// Changes that a refinement may make before it begins. Arguments of the caller stay.
     fn allowance(&self) -> Allowance {
         match self.quality {
             _ if self.preset == CompressPreset::Paper => Allowance::NONE,

@@ -49,7 +49,7 @@ pub use motion::{Past, Pose, predict};
 pub use neighbors::{NEIGHBOR_FALLOFF, NUM_NEIGHBORS, Neighbors};
 pub use parameters::{Parameters, scene_radius};
 pub use refine::{RefineConfig, Refiner, refine_order};
-pub use removal::{Removal, TimestepViews, needed};
+pub use removal::{Removal, TimestepViews, judge_stride, needed};
 pub use row::Row;
 pub use run::{Run, TrainedScene};
 pub use schedule::{Phase, Rates, Schedule};

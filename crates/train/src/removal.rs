@@ -15,7 +15,7 @@ use crate::unseen::are_in_images;
 /// Bisection ends when the number of Gaussians to remove is known within `1 / PRECISION` of all.
 const PRECISION: usize = 128;
 
-/// Views that judge how many may go, at most: as many as tell the error within some percent.
+/// Views that judge how many may go, at most: more cost time, since each is drawn several times.
 const MOST_JUDGES: usize = 32;
 
 /// Without the statistic of densification.
@@ -43,7 +43,7 @@ pub struct Removal<'a> {
     pub most: f32,
     /// `[N]` what each Gaussian costs: the one with the least error for its cost goes first. None: all cost the same.
     pub costs: Option<&'a [f32]>,
-    /// Of the random signs.
+    /// Seed of the random signs.
     pub seed: u64,
 }
 
@@ -68,8 +68,7 @@ pub fn needed(timesteps: &[TimestepViews<'_>], removal: &Removal<'_>) -> Vec<usi
     }
     let mut order: Vec<usize> = (0..errors.len()).filter(|&i| is_shown[i]).collect();
     order.sort_by(|&a, &b| errors[a].total_cmp(&errors[b]));
-    let num_views: usize = timesteps.iter().map(|timestep| timestep.views.len()).sum();
-    let stride = num_views.div_ceil(MOST_JUDGES).max(1);
+    let stride = judge_stride(timesteps.iter().map(|timestep| timestep.views.len()).sum());
     let error_without =
         |removed: &[usize]| -> f64 { timesteps.iter().map(|timestep| timestep.error_without(removed, stride)).sum() };
     let most = f64::from(1.0 + removal.share) * error_without(&[]);
@@ -82,6 +81,11 @@ pub fn needed(timesteps: &[TimestepViews<'_>], removal: &Removal<'_>) -> Vec<usi
     let mut keeps = vec![true; errors.len()];
     order[..low].iter().for_each(|&i| keeps[i] = false);
     (0..keeps.len()).filter(|&i| keeps[i]).collect()
+}
+
+/// Of so many views every how-many-th judges, for [`TimestepViews::error_without`].
+pub fn judge_stride(num_views: usize) -> usize {
+    num_views.div_ceil(MOST_JUDGES).max(1)
 }
 
 impl TimestepViews<'_> {
@@ -200,19 +204,22 @@ mod tests {
     #[test]
     fn as_many_go_as_the_error_allows_and_those_in_no_image_stay() {
         let (gaussians, views) = scene();
-        let stay = |share, is_hidden: [bool; 5]| {
+        let stay_by = |share, is_hidden: [bool; 5], costs: Option<&[f32]>| {
             let timestep = TimestepViews {
                 gaussians: &gaussians,
                 is_hidden: &is_hidden,
                 views: &views,
                 corrections: &[[[0.0; 3]; 2]; 2],
             };
-            needed(&[timestep], &Removal { share, most: 0.4, costs: None, seed: 3 })
+            needed(&[timestep], &Removal { share, most: 0.4, costs, seed: 3 })
         };
+        let stay = |share, is_hidden| stay_by(share, is_hidden, None);
         // The last changes no picture, and is in none.
         assert_eq!(stay(1e-3, [false; 5]), [0, 1, 2, 4], "what others hide goes");
         assert_eq!(stay(1e6, [false; 5]), [0, 1, 2, 4], "of four in images at most one at once");
         assert_eq!(stay(-0.1, [false; 5]), [0, 1, 2, 3, 4], "the error cannot become less");
         assert_eq!(stay(0.0, [true, false, false, false, false]), [1, 2, 3, 4], "what a mask hides goes first");
+        let costs = [1.0, 1e9, 1.0, 1e-9, 1.0];
+        assert_eq!(stay_by(1e6, [false; 5], Some(&costs)), [0, 2, 3, 4], "what costs most for its error goes first");
     }
 }

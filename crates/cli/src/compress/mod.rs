@@ -101,9 +101,9 @@ pub struct Arguments {
     /// `plain`: print the size in the paper's form, without entropy coding, as a stage of its own; the file is the same
     #[arg(long, default_value = "packed")]
     storage: Storage,
-    /// Quality along one curve of settings, -6 to 8, instead of the settings themselves: 1 more about halves the
-    /// errors and takes a fourth to a third more bytes [default: of a file that is refined, the one at which rounding adds
-    /// about 15 % to the squared error of training images; else 0]
+    /// Quality on one curve of settings, -6 to 8, instead of single settings. A quality 1 higher about halves the errors
+    /// and takes a fourth to a third more bytes [default: 0; of a refined file -2 to 0, where rounding adds about 15 % to
+    /// the squared error of training images]
     #[arg(long, value_name = "Q", value_parser = target::quality, allow_negative_numbers = true)]
     #[arg(conflicts_with_all = SINGLE_SETTINGS)]
     quality: Option<f32>,
@@ -271,7 +271,7 @@ impl Arguments {
         self.target().is_some() || self.max_error.is_some() || self.tune
     }
 
-    /// What a refinement may change before it begins: nothing that the command line says.
+    /// Changes that a refinement may make before it begins. Settings of the command line stay.
     fn allowance(&self, scene: &OpenScene) -> Allowance {
         let is_set = self.no_keypoints
             || self.max_keypoints.is_some()
@@ -389,8 +389,8 @@ fn describe_refining(refined: &Refined, psnr: Option<f64>) -> Found {
     let quality =
         refined.quality.map_or(String::new(), |quality| format!("quality {quality}, chosen by training images; "));
     let text = format!(
-        "{quality}refined in {iterations} iterations, which --refine {iterations} repeats{measured}: loss {before:.4} at first, \
-         {after:.4} at last"
+        "{quality}refined in {iterations} iterations, which --refine {iterations} repeats{measured}: \
+         loss {before:.4} at first, {after:.4} at last"
     );
     let mut value = json!({ "iterations": iterations, "loss_before": before, "loss_after": after });
     if let Some(quality) = refined.quality {

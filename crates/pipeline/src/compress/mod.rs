@@ -316,14 +316,19 @@ impl<'a> PrunedScene<'a> {
     /// The symbols, and which of the Gaussians that stay each of theirs is; none for [`Pruned::Parts`].
     fn symbols(&self, settings: &CompressSettings) -> Result<Option<(CompactScene, Vec<usize>)>, PipelineError> {
         let Pruned::Whole { kept, lives, bit_map, learned, .. } = &self.content else { return Ok(None) };
-        let segment_length = settings.segment_length.or(self.segment_length);
-        let settings = &CompressSettings { segment_length, ..settings.clone() };
+        let settings = &self.with_segments(settings);
         let (compact, order) = kept.compress(bit_map, learned.as_ref(), self.info.clone(), settings)?;
         let compact = match lives {
             Some(lives) => compact.with_lives(order.iter().map(|&g| lives[g]).collect()),
             None => compact,
         };
         Ok(Some((compact, order)))
+    }
+
+    /// Settings with the segment length of the chapters, unless they have their own.
+    fn with_segments(&self, settings: &CompressSettings) -> CompressSettings {
+        let segment_length = settings.segment_length.or(self.segment_length);
+        CompressSettings { segment_length, ..settings.clone() }
     }
 
     /// Some of the Gaussians that stay; [`Pruned::Parts`] as they are.
@@ -352,8 +357,6 @@ impl<'a> PrunedScene<'a> {
         errors: Errors,
         change: impl FnOnce(CompactScene) -> Result<(CompactScene, Light), PipelineError>,
     ) -> Result<(CompactFile, Vec<u8>), PipelineError> {
-        let segment_length = settings.segment_length.or(self.segment_length);
-        let settings = &CompressSettings { segment_length, ..settings.clone() };
         let mut labels = None;
         let mut compact = match &self.content {
             Pruned::Whole { kept, foreground, .. } => {
@@ -369,7 +372,7 @@ impl<'a> PrunedScene<'a> {
                 }
                 compact
             }
-            Pruned::Parts(parts) => parts.compress(&self.info, settings, errors)?,
+            Pruned::Parts(parts) => parts.compress(&self.info, &self.with_segments(settings), errors)?,
         };
         let data = self.data.iter().map(|(name, data)| (&name[..], &data[..]));
         let data: Vec<_> = data.chain(labels.as_deref().map(|json| (LABELS, json))).collect();

@@ -1,14 +1,14 @@
 //! Fewer bytes before a refinement: a coarser quality, and fewer Gaussians, as far as the images allow.
 //!
-//! Both are limited by the mean squared error of training images, relative to what the scene has as floats. In a scene that
-//! explains its images badly, such as one of noisy cameras, fine codes store noise. In a scene that explains them well, fine
-//! codes show. Refinement takes back much of the error that is allowed here.
+//! Both are limited by the mean squared error of training images, relative to that of the floats. Where the floats
+//! themselves err much, as with noisy cameras, fine codes store noise; where they err little, fine codes show.
+//! Refinement takes back much of the allowed error.
 
 use std::ops::Range;
 
 use tcgs_codec::{CompactScene, CompressSettings};
 use tcgs_core::{Gaussians, View};
-use tcgs_train::{Removal, TimestepViews, needed};
+use tcgs_train::{Removal, TimestepViews, judge_stride, needed};
 
 use super::{Pruned, PrunedScene};
 use crate::PipelineError;
@@ -16,8 +16,8 @@ use crate::PipelineError;
 /// Error that refinement is left to take back. Shares are of the mean squared error of training images.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Allowance {
-    /// Growth by rounding and keypoints: the quality falls from 0 until they cause about so much. None: the settings stay.
-    /// Default 0.15.
+    /// Growth by rounding and keypoints: the quality falls from 0 until they cause about so much. None: the settings
+    /// stay. Default 0.15.
     pub rounding: Option<f32>,
     /// Growth by removal of Gaussians, of which those go first whose bytes lower the error least. Default 0.1; 0: all stay.
     pub removal: f32,
@@ -51,8 +51,6 @@ const RECOVERY: f32 = 1000.0;
 /// Qualities that are chosen from, in steps of `1 / QUALITY_STEPS`. Below -2 SSIM falls faster than the squared error tells.
 const QUALITIES: Range<i32> = -8..1;
 const QUALITY_STEPS: f32 = 4.0;
-/// Views that tell the error at a quality, about.
-const NUM_JUDGES: usize = 32;
 /// Largest share of the Gaussians that is removed.
 const MOST_REMOVED: f32 = 0.6;
 /// Bits that a keypoint after a track's first takes in the file, as a share of its width. Measured on basketball.
@@ -124,8 +122,7 @@ impl Scales<'_> {
         at: &dyn Fn(usize) -> Result<Gaussians, PipelineError>,
         is_alive: &dyn Fn(usize, usize) -> bool,
     ) -> Result<f64, PipelineError> {
-        let num_views: usize = self.visits.iter().map(|visit| visit.views.len()).sum();
-        let stride = num_views.div_ceil(NUM_JUDGES).max(1);
+        let stride = judge_stride(self.visits.iter().map(|visit| visit.views.len()).sum());
         let mut sum = 0.0;
         for visit in self.visits {
             let is_hidden: Vec<bool> = (0..num_gaussians).map(|gaussian| !is_alive(gaussian, visit.timestep)).collect();
@@ -136,10 +133,10 @@ impl Scales<'_> {
     }
 }
 
-/// The scene without the Gaussians whose bytes lower the error least.
+/// The scene without the Gaussians whose bytes lower the error least. A Gaussian that lives at no visit stays.
 ///
 /// - `share`: by how much the error may grow, as a share of it
-pub(super) fn without_dear<'a>(
+pub(super) fn without_costly<'a>(
     pruned: &PrunedScene<'a>,
     settings: &CompressSettings,
     visits: &[Visit],
@@ -154,7 +151,10 @@ pub(super) fn without_dear<'a>(
     let timesteps: Vec<TimestepViews<'_>> =
         visits.iter().zip(&states).map(|(visit, (gaussians, is_hidden))| visit.with(gaussians, is_hidden)).collect();
     let removal = Removal { share, most: MOST_REMOVED, costs: Some(&costs(&compact)), seed: 0 };
-    let mut rows: Vec<usize> = needed(&timesteps, &removal).into_iter().map(|gaussian| order[gaussian]).collect();
+    let mut stays: Vec<bool> =
+        (0..order.len()).map(|gaussian| states.iter().all(|(_, is_hidden)| is_hidden[gaussian])).collect();
+    needed(&timesteps, &removal).into_iter().for_each(|gaussian| stays[gaussian] = true);
+    let mut rows: Vec<usize> = order.into_iter().zip(stays).filter_map(|(row, stays)| stays.then_some(row)).collect();
     rows.sort_unstable();
     Ok(pruned.select(&rows))
 }

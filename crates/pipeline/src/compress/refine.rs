@@ -11,10 +11,10 @@ use tcgs_codec::{CompactFile, CompactScene, CompressSettings, Light};
 use tcgs_core::View;
 use tcgs_render::device::GpuError;
 use tcgs_render::{CpuRasterizer, Rasterizer};
-use tcgs_train::{Preset, RefineConfig, Refiner, TrainConfig, refine_order};
+use tcgs_train::{Parameters, Preset, RefineConfig, Refiner, TrainConfig, refine_order};
 
 use super::parts::are_followed;
-use super::rate::{Allowance, NUM_MEASURED, Visit, choose_quality, without_dear};
+use super::rate::{Allowance, NUM_MEASURED, Visit, choose_quality, without_costly};
 use super::{Errors, Judge, Pruned, PrunedScene, SearchResult, Target, search};
 use crate::observe::tell;
 use crate::{Backend, Event, Observer, OpenScene, PipelineError, Work};
@@ -288,9 +288,7 @@ impl<'a> Images<'a> {
         }
         let parameters = scene.first_checkpoint().map(|first| &first.parameters);
         let learned = parameters.filter(|p| p.camera_gains.len() == num_views);
-        let corrections = (0..num_views)
-            .map(|camera| learned.map_or([[0.0; 3]; 2], |p| [p.camera_gains[camera], p.camera_offsets[camera]]))
-            .collect();
+        let corrections = learned.map_or_else(|| vec![[[0.0; 3]; 2]; num_views], Parameters::corrections);
         Ok(Self { capture, scene, num_views, corrections })
     }
 
@@ -315,8 +313,8 @@ impl<'a> Images<'a> {
             chosen.settings = settings.clone().with_quality(quality);
         }
         if allowance.removal > 0.0 {
-            let cheap = without_dear(pruned, &chosen.settings, &visits, allowance.removal)?;
-            chosen.pruned = Cow::Owned(cheap);
+            let pruned = without_costly(pruned, &chosen.settings, &visits, allowance.removal)?;
+            chosen.pruned = Cow::Owned(pruned);
         }
         Ok(chosen)
     }
