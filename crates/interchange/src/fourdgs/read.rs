@@ -253,7 +253,8 @@ fn living(scene: &::fourdgs::Scene, times: &[f64]) -> Vec<usize> {
     let mut changes = vec![0_i64; times.len() + 1];
     for i in 0..of.count() {
         let (from, until) = (f64::from(of.win_lo[i]), f64::from(of.win_hi[i]));
-        let from = times.partition_point(|&t| t < from);
+        // No time lies in a window whose start is NaN.
+        let from = times.partition_point(|&t| t < from || from.is_nan());
         let window = &times[from..times.partition_point(|&t| t < until).max(from)];
         let (mu, sigma) = (f64::from(of.mu_t[i]), f64::from(of.sigma_t[i]));
         // It fades to both sides of its middle; the term is that of the crate.

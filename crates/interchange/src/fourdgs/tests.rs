@@ -207,6 +207,32 @@ fn constants_of_few_bytes_that_stand_for_many_are_refused() {
 }
 
 #[test]
+fn numbers_of_gaussians_are_those_of_the_timesteps_for_any_window() {
+    let bytes = std::fs::read(file("fourdgs_births.4dgs")).unwrap();
+    let windows = ::fourdgs::serialization::Records::new(&bytes, 8).map(Result::unwrap).find(|r| r.opcode == 4);
+    // A header of 9 bytes and the number of windows stand before the first window.
+    let first = windows.unwrap().offset + 13;
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.4dgs");
+    let mut changed = 0;
+    for border in [first, first + 8] {
+        for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, f64::MAX, f64::MIN, 0.15] {
+            let mut bytes = bytes.clone();
+            bytes[border..border + 8].copy_from_slice(&value.to_le_bytes());
+            std::fs::write(&path, bytes).unwrap();
+            let Ok(read) = open(&path) else { continue };
+            for timestep in 0..read.num_timesteps() {
+                let Ok(gaussians) = read.at(timestep) else { continue };
+                let number = gaussians.num_gaussians();
+                assert_eq!(number, read.num_gaussians_at(timestep), "{value} at {border}, timestep {timestep}");
+                changed += usize::from(number != expected(timestep.min(2)).num_gaussians());
+            }
+        }
+    }
+    assert!(changed > 5, "{changed}");
+}
+
+#[test]
 fn what_is_wrong_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.4dgs");
