@@ -159,14 +159,16 @@ impl Camera {
     }
 }
 
-fn numbers_of(camera: &Camera) -> [f64; NUMBERS] {
+/// Centre, axes forward and down, focal lengths and principal point.
+pub(crate) fn numbers_of(camera: &Camera) -> [f64; NUMBERS] {
     let [x, y, z] = camera.center();
     let [_, down, forward, _] = camera.camera_from_world;
     let ([fx, fy], [cx, cy]) = (camera.focal, camera.principal);
     [x, y, z, forward[0], forward[1], forward[2], down[0], down[1], down[2], fx, fy, cx, cy]
 }
 
-fn camera_of(numbers: &[f64; NUMBERS], [width, height]: [usize; 2]) -> Result<Camera, CameraError> {
+/// The camera of [`numbers_of`], whose axes need not be orthonormal.
+pub(crate) fn camera_of(numbers: &[f64; NUMBERS], [width, height]: [usize; 2]) -> Result<Camera, CameraError> {
     let vector = |first: usize| [numbers[first], numbers[first + 1], numbers[first + 2]];
     let cross =
         |a: [f64; 3], b: [f64; 3]| [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];

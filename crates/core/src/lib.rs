@@ -10,6 +10,7 @@
 
 mod activation;
 mod attribute;
+mod between;
 mod camera;
 mod camera_path;
 mod columns;
@@ -33,6 +34,7 @@ mod view;
 
 pub use activation::{Activated, ActivatedGrads, activate, activate_bwd, sigmoid, sigmoid_vjp};
 pub use attribute::Attribute;
+pub use between::cameras_between;
 pub use camera::{Camera, CameraError, MAX_COORDINATE, MAX_INTRINSIC, MAX_PIXELS, MAX_SIDE, Pinhole};
 pub use camera_path::{CameraKeyframe, CameraPath, CameraPathError};
 pub use columns::{BaseColumns, BaseViewsMut, Columns, GaussianGrads, Gaussians, PointCloud, Sensitivity, role};

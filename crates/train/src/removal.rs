@@ -5,7 +5,7 @@
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use tcgs_core::{Activated, Camera, Gaussians, Image, View, activate, seen_colors};
+use tcgs_core::{Activated, Camera, Gaussians, Image, View, activate, cameras_between, seen_colors};
 use tcgs_metrics::psnr;
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings, settings::MAX_CHANNELS};
 
@@ -17,6 +17,16 @@ const PRECISION: usize = 128;
 
 /// Views that judge how many may go, at most: more cost time, since each is drawn several times.
 const MOST_JUDGES: usize = 32;
+
+/// Pictures from between the cameras, of all timesteps together.
+const NUM_BETWEEN: usize = 48;
+
+/// Shorter side of a picture from between the cameras, pixels, at most about: such a picture only tells what shows.
+const SIDE_BETWEEN: usize = 90;
+
+/// How many times as much the removal of a Gaussian changes pictures from between as training images, from which on it is
+/// hidden from the training cameras alone.
+const HIDDEN: f32 = 10.0;
 
 /// Without the statistic of densification.
 const SETTINGS: RenderSettings = RenderSettings { background: [0.0; MAX_CHANNELS], statistic_channels: 0 };
@@ -49,24 +59,32 @@ pub struct Removal<'a> {
 
 /// Gaussians that stay when as many are removed as the images allow.
 ///
-/// A Gaussian outside of all images stays, because no image tells whether it is needed.
+/// A Gaussian outside of all images stays, because no image tells whether it is needed. So does one that is hidden from the
+/// training cameras alone, as the wall behind a person: cameras between them show it.
 ///
 /// - `timesteps`: with the same Gaussians, at least one
 /// - returns: indices, ascending
 pub fn needed(timesteps: &[TimestepViews<'_>], removal: &Removal<'_>) -> Vec<usize> {
     let mut errors = vec![0.0; timesteps[0].gaussians.num_gaussians()];
-    let mut is_shown = vec![false; errors.len()];
+    let mut between = errors.clone();
+    let mut is_in_images = vec![false; errors.len()];
     for (seed, timestep) in (removal.seed..).zip(timesteps) {
         let cameras: Vec<Camera> = timestep.views.iter().map(|view| view.camera.clone()).collect();
-        let of_timestep = removal_errors(timestep.gaussians, timestep.is_hidden, &cameras, seed);
-        errors.iter_mut().zip(of_timestep).for_each(|(sum, error)| *sum += error);
         let are_in = are_in_images(timestep.gaussians.means(), &cameras);
-        is_shown.iter_mut().zip(are_in).for_each(|(is_shown, is_in)| *is_shown |= is_in);
+        is_in_images.iter_mut().zip(are_in).for_each(|(is_in_images, is_in)| *is_in_images |= is_in);
+        let others = between_views(&cameras, seed as usize % 1024, NUM_BETWEEN.div_ceil(timesteps.len()));
+        for (errors, cameras) in [(&mut errors, &cameras), (&mut between, &others)] {
+            let of_timestep = removal_errors(timestep.gaussians, timestep.is_hidden, cameras, seed);
+            // Of a pixel, because pictures from between are small.
+            let num_pixels: usize = cameras.iter().map(|camera| camera.width * camera.height).sum();
+            errors.iter_mut().zip(of_timestep).for_each(|(sum, error)| *sum += error / num_pixels as f32);
+        }
     }
+    let mut order: Vec<usize> =
+        (0..errors.len()).filter(|&i| is_in_images[i] && between[i] <= HIDDEN * errors[i]).collect();
     if let Some(costs) = removal.costs {
         errors.iter_mut().zip(costs).for_each(|(error, cost)| *error /= cost);
     }
-    let mut order: Vec<usize> = (0..errors.len()).filter(|&i| is_shown[i]).collect();
     order.sort_by(|&a, &b| errors[a].total_cmp(&errors[b]));
     let stride = judge_stride(timesteps.iter().map(|timestep| timestep.views.len()).sum());
     let error_without =
@@ -81,6 +99,15 @@ pub fn needed(timesteps: &[TimestepViews<'_>], removal: &Removal<'_>) -> Vec<usi
     let mut keeps = vec![true; errors.len()];
     order[..low].iter().for_each(|&i| keeps[i] = false);
     (0..keeps.len()).filter(|&i| keeps[i]).collect()
+}
+
+/// Cameras of small pictures from between others.
+///
+/// - `turn`: other turns give others
+fn between_views(cameras: &[Camera], turn: usize, count: usize) -> Vec<Camera> {
+    let between = cameras_between(cameras, count * turn..count * (turn + 1));
+    let small = |camera: Camera| camera.downscaled((camera.width.min(camera.height) / SIDE_BETWEEN).max(1));
+    between.into_iter().map(small).collect()
 }
 
 /// Of so many views every how-many-th judges, for [`TimestepViews::error_without`].

@@ -108,7 +108,8 @@ impl Run {
         let (gate, births, deaths) = (GateConfig::OFF, BirthConfig::OFF, DeathConfig::OFF);
         let render = RenderConfig { antialiased: false };
         let mut base = TrainConfig { gate, births, deaths, render, ..TrainConfig::default() };
-        (base.densify.unseen_share, base.densify.prune_error, base.rates.camera_centered) = (0.0, 0.0, false);
+        (base.densify.unseen_share, base.densify.prune_error) = (0.0, 0.0);
+        (base.rates.camera_centered, base.rates.color_damping) = (false, 0.0);
         let mut config = base.merge(&text).map_err(|e| TrainError::File { path, problem: e.to_string() })?;
         if !text.contains("prune_large") {
             config.densify.prune_large = config.densify.reset;

@@ -2,6 +2,7 @@
 
 use tcgs_core::{Column, RateGroup};
 
+use crate::adam::EPSILON;
 use crate::config::{REFERENCE_ITERATIONS, TrainConfig};
 
 /// Learning rate of the young for columns that are constant over time, relative to that of the newborn. These columns
@@ -25,6 +26,8 @@ pub struct Rates {
     pub color: f32,
     /// Rate of colours that do not vary with time: the coefficients of spherical harmonics.
     pub harmonic: f32,
+    /// Pixels that a Gaussian has to cover for its colours to move at about their rate; 0 in [`Phase::Rest`].
+    pub color_damping: f32,
     /// Rate of the logit opacities; 0 in [`Phase::Rest`].
     pub logit_opacity: f32,
     /// Rate of the log scales; 0 in [`Phase::Rest`].
@@ -54,6 +57,17 @@ impl Rates {
             RateGroup::LogitOpacity => self.logit_opacity,
             RateGroup::Color if column.varies => self.color,
             RateGroup::Color => self.harmonic,
+        }
+    }
+
+    /// Adam's ε of a column.
+    ///
+    /// - `num_pixels`: of the training image, whose loss is a mean: a Gaussian that covers one pixel has a gradient to its
+    ///   colours of about one in so many
+    pub fn epsilon_of(&self, column: &Column, num_pixels: usize) -> f32 {
+        match column.rate {
+            RateGroup::Color => EPSILON + self.color_damping / (3 * num_pixels) as f32,
+            _ => EPSILON,
         }
     }
 }
@@ -137,6 +151,7 @@ impl Schedule {
                     quat: r.quat * scale * decay,
                     color: r.color * decay,
                     harmonic: r.harmonic * decay * constant,
+                    color_damping: r.color_damping,
                     logit_opacity: r.logit_opacity * decay * constant,
                     log_scale: r.log_scale * scale * decay * constant,
                     // All Gaussians share the cameras.
@@ -157,6 +172,7 @@ impl Schedule {
                     quat: r.quat * motion,
                     color: r.color_rest * cosine(r.motion_decay),
                     harmonic: 0.0,
+                    color_damping: 0.0,
                     logit_opacity: 0.0,
                     log_scale: 0.0,
                     camera: 0.0,

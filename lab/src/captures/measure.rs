@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, Split};
-use tcgs_core::{Activated, Camera, CameraPath, Image, Pinhole, PointCloud, View};
+use tcgs_core::{Activated, Camera, Image, Pinhole, PointCloud, View, cameras_between};
 use tcgs_metrics::psnr_masked;
 use tcgs_pipeline::{Backend, OpenScene};
 use tcgs_render::RenderSettings;
@@ -16,6 +16,8 @@ const FREE: f32 = 0.85;
 const HIDDEN: f32 = 0.9;
 /// Points of a cell of a depth map on average: enough that hardly a cell before a surface is empty.
 const POINTS_A_CELL: f64 = 3.0;
+/// Pictures from between the cameras.
+const NUM_BETWEEN: usize = 24;
 /// Fewest training cameras that must see the point of a pixel.
 const WITNESSES: usize = 2;
 
@@ -25,7 +27,7 @@ const WITNESSES: usize = 2;
 /// - `judge`, `split`: the cameras that judge
 /// - returns: `psnr_seen`, over pixels that at least two training cameras see; `unseen`, the share of the other pixels;
 ///   `psnr_fitted`, after a gain and an offset for each camera and channel. Two shares are of the first frame, seen
-///   from half-way between neighbouring training cameras: `free_space`, the mean share of a pixel's light from before
+///   from between the training cameras: `free_space`, the mean share of a pixel's light from before
 ///   the surface of the initial points; `holes`, the share that meets no Gaussian.
 pub fn measure(scene: &OpenScene, seen_by: &Capture, judge: &Capture, split: Split) -> anyhow::Result<Value> {
     let downscale = scene.downscale;
@@ -47,7 +49,7 @@ pub fn measure(scene: &OpenScene, seen_by: &Capture, judge: &Capture, split: Spl
     let unseen = judged.iter().map(|(_, _, seen)| share(seen, false));
     let drawn = scene.drawn(0)?;
     let (mut free_space, mut holes) = (Vec::new(), Vec::new());
-    for camera in between(&training)? {
+    for camera in cameras_between(&training, 0..NUM_BETWEEN) {
         let gaussians = drawn.seen_by(&camera);
         let marked = Arc::new(surfaces.mark_free(&gaussians, &camera));
         let (output, _) = renderer.draw(&marked, &camera, &settings)?;
@@ -70,30 +72,6 @@ fn cameras(capture: &Capture, scene: &OpenScene) -> anyhow::Result<Vec<Camera>> 
 
 fn share(of: &[bool], value: bool) -> f64 {
     of.iter().filter(|&&found| found == value).count() as f64 / of.len().max(1) as f64
-}
-
-/// Half-way between each camera and its nearest neighbour; each pair once.
-fn between(cameras: &[Camera]) -> anyhow::Result<Vec<Camera>> {
-    let distance = |i: usize, j: usize| -> f64 {
-        let (a, b) = (cameras[i].center(), cameras[j].center());
-        (0..3).map(|c| (a[c] - b[c]).powi(2)).sum()
-    };
-    let mut pairs: Vec<[usize; 2]> = (0..cameras.len())
-        .filter_map(|i| {
-            let others = (0..cameras.len()).filter(|&j| j != i);
-            let nearest = others.min_by(|&a, &b| distance(i, a).total_cmp(&distance(i, b)))?;
-            Some([i.min(nearest), i.max(nearest)])
-        })
-        .collect();
-    pairs.sort_unstable();
-    pairs.dedup();
-    let half_way = |[i, j]: [usize; 2]| {
-        let mut path = CameraPath::default();
-        path.insert(0.0, cameras[i].clone())?;
-        path.insert(1.0, cameras[j].clone())?;
-        Ok(path.camera_at(0.5, [cameras[i].width, cameras[i].height])?)
-    };
-    pairs.into_iter().map(half_way).collect()
 }
 
 /// PSNR of each image after a least-squares fit of a gain and an offset for each camera and channel.

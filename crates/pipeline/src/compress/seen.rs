@@ -1,11 +1,11 @@
-//! Which Gaussians the training cameras see.
+//! Which Gaussians the training cameras see, or cameras between them.
 //!
 //! Training removes Gaussians that the colour loss does not miss. Many of the others are hidden, or smaller than a
 //! pixel. Each costs as much as any other. Together they matter little enough for refinement to make up for them.
 
 use std::ops::RangeInclusive;
 
-use tcgs_core::{Camera, Gaussians, Image, activate};
+use tcgs_core::{Camera, Gaussians, Image, activate, cameras_between};
 use tcgs_render::{CpuRasterizer, blending_weights, weights_step};
 use tcgs_train::are_in_images;
 
@@ -14,13 +14,18 @@ use crate::PipelineError;
 
 /// Timesteps at which is looked, at most.
 const NUM_TIMESTEPS: usize = 30;
+/// Pictures from between the cameras, of all timesteps together. What only they show was hidden from the training cameras,
+/// and refinement cannot bring it back.
+const NUM_BETWEEN: usize = 48;
 
-/// What the training cameras see of a Gaussian.
+/// What is seen of a Gaussian.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Seen {
-    /// Its largest share of the pixels of all images of a timestep, 0 to 1.
+    /// The largest number of pixels that it makes up at a timestep, in images and pictures from between, as a share of
+    /// those of all images.
     pub share: f32,
-    /// Last timestep that it has to live to: afterwards its share stays below the least.
+    /// Last timestep that it has to live to: afterwards its share stays below the least. The last of all if no training
+    /// camera ever sees it, since there are few pictures from between.
     pub last: u16,
     /// Whether its centre is in an image, hidden or not. If it never is, the images do not tell whether it is needed.
     pub is_in_images: bool,
@@ -42,10 +47,14 @@ pub fn seen(kept: &Kept, lives: &[[u16; 2]], cameras: &[Camera], least: f32) -> 
     let num_pixels: usize = cameras.iter().map(|camera| camera.width * camera.height).sum();
     let num_timesteps = kept.num_timesteps();
     let stride = num_timesteps.div_ceil(NUM_TIMESTEPS);
+    let num_between = NUM_BETWEEN.div_ceil(num_timesteps.div_ceil(stride));
     let mut seen = vec![Seen::default(); kept.num_gaussians()];
+    let mut is_seen_in_images = vec![false; seen.len()];
     for timestep in (0..num_timesteps).step_by(stride) {
         // It is not known when between two looks it vanished.
         let last = (timestep + stride).min(num_timesteps) - 1;
+        let turn = num_between * (timestep / stride);
+        let between = cameras_between(&cameras, turn..turn + num_between);
         let gaussians = kept.at(timestep)?;
         let rows_of = |births: RangeInclusive<usize>| {
             let is_due =
@@ -53,22 +62,33 @@ pub fn seen(kept: &Kept, lives: &[[u16; 2]], cameras: &[Camera], least: f32) -> 
             (0..lives.len()).filter(is_due).collect::<Vec<usize>>()
         };
         let (mut rows, newborn) = (rows_of(0..=timestep), rows_of(timestep + 1..=last));
-        let mut weights = weights_of(&gaussians.select(&rows), &cameras);
+        let weights_of = |rows: &[usize]| {
+            let gaussians = gaussians.select(rows);
+            [&cameras, &between].map(|cameras| weights_of(&gaussians, cameras))
+        };
+        let mut weights = weights_of(&rows);
         if !newborn.is_empty() {
             rows.extend(newborn);
-            let with_newborn = weights_of(&gaussians.select(&rows), &cameras);
-            weights.extend_from_slice(&with_newborn[weights.len()..]);
-        }
-        let are_in = are_in_images(gaussians.select(&rows).means(), &cameras);
-        for ((row, weight), is_in) in rows.into_iter().zip(weights).zip(are_in) {
-            let (seen, share) = (&mut seen[row], weight / num_pixels as f32);
-            seen.is_in_images |= is_in;
-            seen.share = seen.share.max(share);
-            if share >= least {
-                seen.last = last as u16;
+            let with_newborn = weights_of(&rows);
+            for (weights, more) in weights.iter_mut().zip(with_newborn) {
+                weights.extend_from_slice(&more[weights.len()..]);
             }
         }
+        let are_in = are_in_images(gaussians.select(&rows).means(), &cameras);
+        let [in_images, between] = weights;
+        for (i, row) in rows.into_iter().enumerate() {
+            let [share, with_between] = [in_images[i], in_images[i] + between[i]].map(|sum| sum / num_pixels as f32);
+            let seen = &mut seen[row];
+            seen.is_in_images |= are_in[i];
+            seen.share = seen.share.max(with_between);
+            if with_between >= least {
+                seen.last = last as u16;
+            }
+            is_seen_in_images[row] |= share >= least;
+        }
     }
+    let hidden = seen.iter_mut().zip(is_seen_in_images).filter(|(_, is_seen)| !is_seen);
+    hidden.for_each(|(seen, _)| seen.last = u16::MAX);
     Ok(seen)
 }
 
@@ -107,7 +127,7 @@ mod tests {
         let look = |lives: [[u16; 2]; 3]| seen(&kept, &lives, std::slice::from_ref(&camera), 1e-3).unwrap();
         let hidden = look([[0, 59], [0, 59], [0, 59]]);
         assert!(hidden.iter().all(|seen| seen.is_in_images), "{hidden:?}");
-        assert!(hidden[0].share > 0.01 && hidden[1].share < 1e-3 && hidden[1].last == 0, "{hidden:?}");
+        assert!(hidden[0].share > 0.01 && hidden[1].share < 1e-3 && hidden[1].last == u16::MAX, "{hidden:?}");
         // The first dies at the last look, and the third is born after it.
         let found = look([[0, 57], [0, 59], [59, 59]]);
         assert_eq!(found.iter().map(|seen| seen.last).collect::<Vec<_>>(), [57, 59, 59]);

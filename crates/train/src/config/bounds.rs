@@ -31,7 +31,7 @@ const RATE: Bounds = Number(0.0, 1e38);
 const WEIGHT: Bounds = Number(0.0, FACTOR);
 
 /// Every setting by its dotted name, in the order of `config.toml`.
-const BOUNDS: [(&str, Bounds); 88] = [
+const BOUNDS: [(&str, Bounds); 89] = [
     ("preset", Any),
     ("seed", Any),
     ("data.capture", Any),
@@ -48,6 +48,7 @@ const BOUNDS: [(&str, Bounds); 88] = [
     ("rates.mean", RATE),
     ("rates.color", RATE),
     ("rates.harmonic", RATE),
+    ("rates.color_damping", RATE),
     ("rates.color_rest", RATE),
     ("rates.quat", RATE),
     ("rates.logit_opacity", RATE),

@@ -142,6 +142,7 @@ impl TrainConfig {
                 mean: 1.6e-4,
                 color: 2.5e-3,
                 harmonic: 1.25e-4,
+                color_damping: 0.0,
                 color_rest: 2.5e-3,
                 quat: 1e-3,
                 logit_opacity: 0.05,
@@ -215,6 +216,7 @@ impl TrainConfig {
                 config.rates.motion_decay = 0.02;
                 config.rates.reset_steps = true;
                 config.rates.step = 0.002;
+                config.rates.color_damping = 0.3;
                 config.rates.color_rest = 5e-4;
                 config.rates.camera_centered = true;
                 // Less of what holds motion together, and much less of outlines, at which Gaussians would gather.
