@@ -131,4 +131,13 @@ mod tests {
         moments.update(&mut x, &[1.0, 0.0], 0.1);
         assert!(((before - x[0]) / 0.1 - (1.0 - BETA1) / (1.0 - BETA2).sqrt()).abs() < 1e-3);
     }
+
+    #[test]
+    fn epsilon_holds_back_what_has_a_small_gradient() {
+        let (mut x, mut first, mut second) = ([0.0; 3], [0.0; 3], [0.0; 3]);
+        adam(&mut x, &[1e-2, 1e-4, 1e-6], &mut first, &mut second, &mut 0, 0.1, 1e-4);
+        // The first step is the rate times gradient / (gradient + ε).
+        let expected = [100.0 / 101.0, 1.0 / 2.0, 1.0 / 101.0];
+        assert!(x.iter().zip(expected).all(|(x, step)| (x + 0.1 * step).abs() < 1e-5), "{x:?}");
+    }
 }

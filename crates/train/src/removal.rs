@@ -249,4 +249,29 @@ mod tests {
         let costs = [1.0, 1e9, 1.0, 1e-9, 1.0];
         assert_eq!(stay_by(1e6, [false; 5], Some(&costs)), [0, 2, 3, 4], "what costs most for its error goes first");
     }
+
+    #[test]
+    fn what_is_hidden_from_the_training_cameras_alone_stays() {
+        let behind = |x| BaseColumns {
+            means: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [x, 0.0, 4.0], [1.0, 0.8, 0.5]],
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; 4],
+            log_scales: vec![[-0.7; 3], [-0.7; 3], [-2.5; 3], [-2.5; 3]],
+            logit_opacities: vec![9.0, 9.0, 3.0, 3.0],
+            colors: vec![[0.9, 0.3, 0.2], [0.2, 0.5, 0.9], [0.9, 0.8, 0.3], [0.1, 0.9, 0.1]],
+        };
+        let stay = |gaussians: &Gaussians| {
+            let views = [-2.0, 2.0].map(|x| {
+                let camera = Camera::look_at([x, 0.0, -4.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0], 60.0, 72, 54);
+                let Ok((drawn, _)) = CpuRasterizer.forward(&activate(gaussians), &camera, &SETTINGS);
+                View { camera, image: drawn.image, segmentation: None, frame: 0, camera_id: usize::from(x > 0.0) }
+            });
+            let corrections = &[[[0.0; 3]; 2]; 2];
+            let timestep = TimestepViews { gaussians, is_hidden: &[false; 4], views: &views, corrections };
+            needed(&[timestep], &Removal { share: 1e9, most: 0.25, costs: None, seed: 3 })
+        };
+        // Each camera has one of the first two before the third. From half-way it shows between them.
+        assert_eq!(stay(&behind(0.0).into()), [0, 1, 2], "the fourth is in the images, and the only one that may go");
+        // Here the second hides it from everywhere.
+        assert_eq!(stay(&behind(2.2).into()), [0, 1, 3]);
+    }
 }

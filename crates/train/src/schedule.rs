@@ -267,6 +267,8 @@ pub(crate) fn cosine(end: f32, progress: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
+    use tcgs_core::Attribute;
+
     use super::*;
     use crate::config::Preset;
 
@@ -308,5 +310,15 @@ mod tests {
         assert!((s.rates(Phase::First, 0).mask - 0.01 * 10.0 / 1.5).abs() < 1e-6);
         assert!((s.rates(Phase::Rest, 0).mean - 3.2e-4 * 20.0 / 3.0).abs() < 1e-8);
         assert!(s.rates(Phase::Rest, 299).mean < 0.05 * s.rates(Phase::Rest, 0).mean);
+    }
+
+    #[test]
+    fn only_colors_of_the_first_timestep_are_damped() {
+        let s = schedule(1000, 100, Preset::Default);
+        let epsilon = |phase, attribute| s.rates(phase, 0).epsilon_of(&Column::like(attribute), 100);
+        assert_eq!(epsilon(Phase::First, Attribute::Color), EPSILON + 0.3 / 300.0);
+        assert_eq!([epsilon(Phase::First, Attribute::Mean), epsilon(Phase::Rest, Attribute::Color)], [EPSILON; 2]);
+        let reference = schedule(1000, 100, Preset::Paper).rates(Phase::First, 0);
+        assert_eq!(reference.epsilon_of(&Column::like(Attribute::Color), 100), EPSILON);
     }
 }
