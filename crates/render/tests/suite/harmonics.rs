@@ -1,12 +1,8 @@
 //! Colours that depend on the direction of view, from a timestep to pixels.
 
-#![allow(clippy::unwrap_used)]
-
-mod support;
-
 use std::f64::consts::PI;
 
-use support::Random;
+use crate::support::Random;
 use tcgs_core::{Camera, Drawable, Gaussians, Layout};
 use tcgs_render::{CpuRasterizer, Draw, RenderSettings};
 
@@ -58,7 +54,7 @@ fn a_gaussian_has_another_colour_from_each_side() {
 #[cfg(feature = "gpu")]
 #[test]
 fn the_gpu_draws_the_colours_of_each_camera() {
-    let Some(gpu) = support::gpu() else { return };
+    let Some(gpu) = crate::support::gpu() else { return };
     // One renderer for all pictures, so that state kept from an earlier camera would show.
     seen_from_four_sides(&tcgs_render::gpu::GpuRasterizer::new(&gpu));
 }

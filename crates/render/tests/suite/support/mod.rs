@@ -1,7 +1,7 @@
-//! Support for the integration tests: the f64 oracle, random scenes, and other programs' vectors.
+//! Support for the tests: the f64 oracle, random scenes, and other programs' vectors.
 
-#![allow(dead_code)] // each test binary uses a part
-#![allow(clippy::unwrap_used)] // a bench uses it too, which clippy does not count as a test
+#![allow(dead_code)] // a bench uses a part, and so do the tests of the CPU alone
+#![allow(clippy::unwrap_used)] // clippy does not count a bench as a test
 
 use std::io::Write;
 pub mod oracle;

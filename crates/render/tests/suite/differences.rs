@@ -1,9 +1,7 @@
 //! The CPU renderer against the f64 oracle: images, and gradients against its central differences.
 
-mod support;
-
-use support::oracle::{self, Scene};
-use support::{random_scene, test_camera};
+use crate::support::oracle::{self, Scene};
+use crate::support::{random_scene, relative_l2, test_camera};
 use tcgs_core::{Activated, Image};
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
 
@@ -112,7 +110,7 @@ fn the_statistic_counts_the_colours_alone() {
     let (five, three) = (run(&five), run(&three));
     let norm = |v: &[[f32; 2]]| v.as_flattened().iter().map(|x| x * x).sum::<f32>().sqrt();
     assert!(norm(&three.v_means2d_ndc) > 1.0);
-    let error = support::relative_l2(five.v_means2d_ndc.as_flattened(), three.v_means2d_ndc.as_flattened());
+    let error = relative_l2(five.v_means2d_ndc.as_flattened(), three.v_means2d_ndc.as_flattened());
     assert!(error < 1e-6, "relative L2 {error:.1e}");
     // With three channels the statistic is the whole gradient, in NDC units; two more channels must change the
     // gradient.

@@ -1,8 +1,6 @@
 //! Rendering some tiles of an image against rendering all of it.
 
-mod support;
-
-use support::{random_scene, test_camera};
+use crate::support::{random_scene, test_camera};
 use tcgs_core::{Activated, Image};
 use tcgs_render::{
     CpuRasterizer, Laps, Rasterizer, RenderSettings, TileMask, count_pairs, gaussians_reaching, tiles_reached,

@@ -1,10 +1,6 @@
 //! Extreme images and numbers on the GPU.
 
-#![allow(clippy::unwrap_used)]
-
-mod support;
-
-use support::{Random, gpu, random_scene, relative_l2, test_camera};
+use crate::support::{Random, gpu, random_scene, relative_l2, test_camera};
 use tcgs_core::{Activated, Camera, Image};
 use tcgs_render::gpu::{GpuError, GpuRasterizer};
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};

@@ -1,11 +1,7 @@
 //! The GPU against the CPU. Both blend the same contributors, so numbers agree up to rounding. At a cut-off (alpha
 //! 1/255, transmittance 1e-4) a pixel may fall to either side.
 
-#![allow(clippy::unwrap_used)]
-
-mod support;
-
-use support::{Random, gpu, random_scene, relative_l2, test_camera};
+use crate::support::{Random, gpu, random_scene, relative_l2, test_camera};
 use tcgs_core::{Activated, Camera, Image};
 use tcgs_render::gpu::GpuRasterizer;
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderGrads, RenderOutput, RenderSettings};

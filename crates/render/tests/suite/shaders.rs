@@ -1,7 +1,5 @@
 //! Every shader is valid WGSL within the limits of every browser. The check needs no GPU.
 
-#![allow(clippy::unwrap_used)]
-
 use std::fs;
 use std::path::Path;
 

@@ -1,10 +1,6 @@
 //! Renders and gradients of other programs (gsplat 1.5.3; the rasterizer of Dynamic 3D Gaussians).
 
-#![allow(clippy::unwrap_used)]
-
-mod support;
-
-use support::{Arrays, golden, gpu, relative_l2, rows};
+use crate::support::{Arrays, golden, gpu, relative_l2, rows};
 use tcgs_core::{Activated, ActivatedGrads, Image, normalize_vjp};
 use tcgs_render::gpu::GpuRasterizer;
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderGrads, RenderSettings};
