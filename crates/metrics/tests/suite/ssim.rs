@@ -1,5 +1,4 @@
 //! SSIM and its gradient against a naive two-dimensional oracle in `f64`.
-#![allow(clippy::unwrap_used)] // helpers of tests
 
 use tcgs_core::Image;
 use tcgs_metrics::{ssim, ssim_bwd, ssim_fwd};

@@ -1,5 +1,4 @@
 //! Compared with the image loss of Dynamic 3D Gaussians, from vectors that other programs made.
-#![allow(clippy::unwrap_used)] // helpers of tests
 
 use std::io::Write;
 use tcgs_core::Image;

@@ -1,5 +1,4 @@
 //! LPIPS against values that another program computed with the same weights.
-#![allow(clippy::unwrap_used)] // helpers of tests
 
 use std::io::Write;
 use std::path::Path;

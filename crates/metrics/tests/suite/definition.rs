@@ -1,6 +1,5 @@
 //! SSIM and MS-SSIM against their definitions: windows summed pixel by pixel in `f64`, gradients by central
 //! differences.
-#![allow(clippy::unwrap_used)] // helpers of tests
 
 use tcgs_core::Image;
 use tcgs_metrics::{SSIM_C1, SSIM_C2, SSIM_RADIUS, ms_ssim, ssim, ssim_bwd, ssim_fwd};

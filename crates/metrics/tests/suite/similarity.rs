@@ -1,5 +1,4 @@
 //! MS-SSIM and SSIM with a uniform window against oracles in `f64`, straight from the definitions.
-#![allow(clippy::unwrap_used)] // helpers of tests
 
 use tcgs_core::Image;
 use tcgs_metrics::{MIN_MS_SSIM_SIDE, ms_ssim, uniform_ssim};
