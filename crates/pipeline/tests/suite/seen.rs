@@ -1,10 +1,6 @@
 //! Gaussians that no training camera sees are left out of a file, and die when they are no longer seen.
 
-#![allow(clippy::unwrap_used)] // helpers of tests are not counted as tests
-
-mod support;
-
-use support::{files, open};
+use crate::support::{files, open};
 use tcgs_core::{BaseColumns, DynamicGaussians, Gaussians};
 use tcgs_interchange::{ParamsExtras, write_params_npz};
 use tcgs_pipeline::{CompressOptions, compress_scene};

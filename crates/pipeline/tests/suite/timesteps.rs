@@ -1,13 +1,9 @@
 //! Scenes are read one timestep at a time, and no timestep is read without need.
 
-#![allow(clippy::unwrap_used)] // helpers of tests are not counted as tests
-
-mod support;
-
 use std::fs;
 use std::path::Path;
 
-use support::{files, open};
+use crate::support::{files, open};
 use tcgs_codec::{CompressSettings, DecodeLimits, inspect};
 use tcgs_core::SceneReader;
 use tcgs_interchange::{ParamsExtras, write_params_npz};

@@ -1,13 +1,9 @@
 //! A run in which Gaussians are born and die, from its checkpoints to a file.
 
-#![allow(clippy::unwrap_used)] // helpers of tests are not counted as tests
-
-mod support;
-
 use std::path::Path;
 
+use crate::support::{files, open};
 use serde_json::json;
-use support::{files, open};
 use tcgs_capture::Capture;
 use tcgs_codec::{CompressSettings, UpAxis};
 use tcgs_core::{Attribute, PointCloud, SceneReader};

@@ -1,12 +1,8 @@
 //! The first camera of a file, and the paths around a scene.
 
-#![allow(clippy::unwrap_used)] // helpers of tests are not counted as tests
-
-mod support;
-
 use std::path::Path;
 
-use support::{files, open};
+use crate::support::{files, open};
 use tcgs_capture::{Capture, Split};
 use tcgs_core::{BaseColumns, Camera, DynamicGaussians, Gaussians, Subject, Tour};
 use tcgs_pipeline::{CameraAt, CompressOptions, OpenScene, compress_scene};

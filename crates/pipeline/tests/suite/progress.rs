@@ -1,7 +1,5 @@
 //! Reported progress of a training.
 
-#![allow(clippy::unwrap_used)] // helpers of tests are not counted as tests
-
 use std::fs;
 use std::ops::ControlFlow;
 

@@ -1,10 +1,6 @@
 //! Before a refinement, quality and Gaussians are chosen by training images.
 
-#![allow(clippy::unwrap_used)] // helpers of tests are not counted as tests
-
-mod support;
-
-use support::{files, open};
+use crate::support::{files, open};
 use tcgs_capture::Split;
 use tcgs_pipeline::{
     Allowance, Backend, CompressOptions, Judge, JudgeImages, OpenScene, PrunedScene, RefineBudget, RefineOptions,

@@ -1,16 +1,12 @@
 //! Every call returns a result, whatever its input: no input panics, and every error names its culprit in one line.
 
-#![allow(clippy::unwrap_used)] // helpers of tests are not counted as tests
-
-mod support;
-
 use std::fs;
 use std::io;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use support::{files, open};
+use crate::support::{files, open};
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
 use tcgs_codec::{CompressSettings, DecodeLimits, inspect};
 use tcgs_core::{Attribute, Column, DynamicGaussians, Gaussians, Layout, Tour};
