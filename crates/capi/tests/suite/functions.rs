@@ -1,7 +1,5 @@
 //! Calls the functions as a program in C does.
 
-#![allow(clippy::unwrap_used)] // helpers of tests are not counted as tests
-
 use std::ffi::{CStr, CString, c_void};
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
