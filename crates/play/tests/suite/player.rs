@@ -1,13 +1,9 @@
 //! The player's logic: the order of fetching, eviction, errors.
 
-#![allow(clippy::unwrap_used)]
-
-mod support;
-
 use std::io::Cursor;
 use std::path::Path;
 
-use support::{Behaviour, Network, cohorts_file, room_file, settings, small_file, wait};
+use crate::support::{Behaviour, Network, cohorts_file, room_file, scenes, settings, small_file, wait};
 use tcgs_codec::{Archive, Cohort, CompressSettings, DecodeLimits, Opening, SceneFile, decode};
 use tcgs_core::{Gaussians, Layout};
 use tcgs_play::{BytesSource, FileSource, PlayError, Player, PlayerSettings, RangeSource, SourceError};
@@ -51,7 +47,7 @@ fn seeking_in_random_order_shows_what_playing_shows() {
             played[timestep] = Some(gaussians);
         }
         let mut order: Vec<usize> = (0..num_timesteps).collect();
-        let random = &mut support::scenes::Random(3);
+        let random = &mut scenes::Random(3);
         for i in (1..order.len()).rev() {
             order.swap(i, random.next() as usize % (i + 1));
         }

@@ -1,7 +1,7 @@
 //! Files to play, and sources that behave as networks do.
 
-#![allow(dead_code)] // each test binary uses a part
-#![allow(clippy::unwrap_used)] // a bench uses it too, which clippy does not count as a test
+#![allow(dead_code)] // a bench uses a part
+#![allow(clippy::unwrap_used)] // clippy does not count a bench as a test
 
 use std::cell::RefCell;
 use std::ops::Range;
@@ -12,7 +12,7 @@ use tcgs_codec::{BitMap, CompactScene, CompressSettings, SceneInfo, compress, en
 use tcgs_core::{DynamicGaussians, Gaussians, Layout};
 use tcgs_play::{BytesSource, Piece, Player, PlayerSettings, RangeSource, SourceError};
 
-#[path = "../../../codec/tests/scenes/mod.rs"]
+#[path = "../../../../codec/tests/scenes/mod.rs"]
 pub mod scenes;
 
 /// The file of a room with a moving part.

@@ -1,13 +1,9 @@
 //! A viewer shows the picture that `tcgs eval` measures. Reconstruction and drawing on the GPU, within the limits of
 //! every browser, are compared with the codec's sampler and the CPU's renderer.
 
-#![allow(clippy::unwrap_used)]
-
-mod support;
-
 use std::io::Write;
 
-use support::{cohorts_file, room_file, scenes, settings, wait};
+use crate::support::{cohorts_file, room_file, scenes, settings, wait};
 use tcgs_codec::{BitMap, CompressSettings, SceneInfo, UpAxis, compress, encode};
 use tcgs_core::{Attribute, Camera, Drawable, DynamicGaussians, Layout};
 use tcgs_play::{

@@ -1,7 +1,5 @@
 //! The player's own shaders are valid WGSL within the limits of every browser. The check needs no GPU.
 
-#![allow(clippy::unwrap_used)]
-
 use wgpu::naga::AddressSpace;
 use wgpu::naga::front::wgsl;
 use wgpu::naga::valid::{Capabilities, ValidationFlags, Validator};

@@ -1,10 +1,6 @@
 //! The view of a file at the start.
 
-#![allow(clippy::unwrap_used)]
-
-mod support;
-
-use support::{cohorts_file, settings, wait};
+use crate::support::{cohorts_file, settings, wait};
 use tcgs_codec::{BitMap, CompressSettings, SceneInfo, UpAxis, compress, encode};
 use tcgs_core::{Camera, DynamicGaussians, Gaussians, Layout};
 use tcgs_play::{BytesSource, Moment, Player, start_view};
