@@ -12,7 +12,7 @@ use tcgs_codec::{BitMap, CompactScene, CompressSettings, SceneInfo, compress, en
 use tcgs_core::{DynamicGaussians, Gaussians, Layout};
 use tcgs_play::{BytesSource, Piece, Player, PlayerSettings, RangeSource, SourceError};
 
-#[path = "../../../../codec/tests/scenes/mod.rs"]
+#[path = "../../../../codec/tests/suite/support/scenes.rs"]
 pub mod scenes;
 
 /// The file of a room with a moving part.

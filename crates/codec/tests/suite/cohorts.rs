@@ -1,19 +1,15 @@
 //! Files of version 2: cohorts, lives, further attributes, which Gaussians may lack.
-#![allow(clippy::unwrap_used)]
 
 use std::io::Cursor;
 use std::ops::Range;
 
+use crate::support::any_scene::{any_cohort, any_cohorts, any_scene};
 use proptest::prelude::*;
 use tcgs_codec::{
     Archive, CompactScene, DecodeError, DecodeLimits, Decoder, Event, FileWriter, Opening, Sampler, SceneFile,
     SceneInfo, SegmentCache, application_data, decode, decode_cohorts, encode, encode_cohorts, inspect,
 };
 use tcgs_core::Gaussians;
-
-#[allow(dead_code)] // Each test uses some of it.
-mod any_scene;
-use any_scene::{any_cohort, any_cohorts, any_scene};
 
 /// The Gaussians that live at a timestep, by definition, and their indices among all.
 fn alive(cohorts: &[CompactScene], timestep: usize) -> (Vec<Gaussians>, Vec<usize>) {

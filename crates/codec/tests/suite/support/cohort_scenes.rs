@@ -5,8 +5,8 @@ use std::sync::Arc;
 use tcgs_codec::{BitMap, ColorSpace, CompactScene, Quantizer, Quantizers, SceneInfo, Tracks, UpAxis};
 use tcgs_core::{Activation, Attribute, Column, Layout};
 
-use crate::any_scene::Numbers;
-use crate::corner_scenes;
+use super::any_scene::Numbers;
+use super::corner_scenes;
 
 /// A file of version 2: its description, and its cohorts.
 pub type File = (SceneInfo, Vec<CompactScene>);

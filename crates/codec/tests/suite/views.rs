@@ -1,7 +1,5 @@
 //! Cameras in files: written cameras are read back, and no bytes make the reader panic.
 
-#![allow(clippy::unwrap_used)] // helpers of tests are not counted as tests
-
 use proptest::prelude::*;
 use tcgs_codec::{FileCamera, VIEWS, read_views, write_views};
 use tcgs_core::Camera;

@@ -2,26 +2,20 @@
 //! `testdata/bitstream/v2`. Also files that must be refused: `testdata/bitstream/refused` and
 //! `testdata/bitstream/refused_v2`.
 //!
-//! `UPDATE_GOLDENS=1 cargo test -p tcgs-codec --test vectors` makes missing files; an existing file keeps its bytes.
-//! `forge.py` and `forge_v2.py` beside them make files that no encoder writes.
-#![allow(clippy::unwrap_used)]
+//! `UPDATE_GOLDENS=1 cargo test -p tcgs-codec --test suite vectors` makes missing files; an existing file keeps its
+//! bytes. `forge.py` and `forge_v2.py` beside them make files that no encoder writes.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use crate::support::any_scene::any_scene;
+use crate::support::{cohort_scenes, corner_scenes, scenes};
 use serde_json::{Value, json};
 use tcgs_codec::{
     CompactScene, CompressSettings, DecodeError, DecodeLimits, SceneFile, SceneInfo, application_data, compress,
     decode, decode_cohorts, encode, encode_cohorts, encode_with,
 };
 use tcgs_core::{Activation, Attribute, Gaussians};
-
-#[allow(dead_code)] // Each test uses some of it.
-mod any_scene;
-mod cohort_scenes;
-mod corner_scenes;
-mod scenes;
-use any_scene::any_scene;
 
 /// Vectors of version 1 with bytes that a decoder accepts and no encoder writes.
 const FORGED: [&str; 3] = ["dropped_bits", "optional_sections", "symbols_beyond"];

@@ -2,14 +2,12 @@
 
 use std::sync::Arc;
 
+use crate::support::scenes::{self, Random};
 use tcgs_codec::{
     BitMap, CompactScene, CompressSettings, DecodeLimits, Quantizer, Quantizers, SceneInfo, compress, compress_ordered,
     compress_reader, decode, encode, encode_cohorts,
 };
 use tcgs_core::{Attribute, Column, DynamicGaussians, Gaussians, Layout, SceneReader, dot, normalize};
-
-mod scenes;
-use scenes::Random;
 
 /// The default settings, with the widths of the bit map and equal tolerances.
 fn as_told() -> CompressSettings {

@@ -1,5 +1,4 @@
 //! Sequences of other programs: harmonics, and Gaussians that change in number and order from timestep to timestep.
-#![allow(clippy::unwrap_used)]
 
 use std::convert::Infallible;
 use std::io::Cursor;

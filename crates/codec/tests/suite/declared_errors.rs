@@ -1,5 +1,4 @@
 //! Largest errors: the errors that a file declares hold for the decoded values, and settings reduce them.
-#![allow(clippy::unwrap_used)]
 
 use std::io::Cursor;
 use std::sync::Arc;

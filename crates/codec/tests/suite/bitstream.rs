@@ -1,19 +1,15 @@
 //! Symbols survive as bytes, and bytes that are not a file are refused.
-#![allow(clippy::unwrap_used)]
 
 use std::ops::Range;
 
+use crate::support::any_scene::any_scene;
+use crate::support::scenes;
 use proptest::prelude::*;
 use tcgs_codec::{
     BitMap, CompactScene, CompressSettings, DecodeError, DecodeLimits, Decoder, Event, SceneInfo, Segment, Tracks,
     compress, decode, encode, inspect,
 };
 use tcgs_core::Attribute;
-
-#[allow(dead_code)] // Each test uses some of it.
-mod any_scene;
-mod scenes;
-use any_scene::any_scene;
 
 /// Bytes before the table of contents, and of each of its entries.
 const HEADER_BYTES: usize = 16;

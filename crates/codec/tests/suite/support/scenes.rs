@@ -1,6 +1,6 @@
 //! Synthetic scenes for tests and benches, the same on every machine.
 
-#![allow(dead_code)] // Not every test needs all of it.
+#![allow(dead_code)] // Benches use a part.
 
 use tcgs_codec::BitMap;
 use tcgs_core::{Attribute, DynamicGaussians, Gaussians};

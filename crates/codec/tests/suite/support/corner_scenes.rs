@@ -3,7 +3,7 @@
 use tcgs_codec::{BitMap, ColorSpace, CompactScene, Quantizer, Quantizers, SceneInfo, Tracks, UpAxis};
 use tcgs_core::{Attribute, Layout};
 
-use crate::any_scene::Numbers;
+use super::any_scene::Numbers;
 
 /// Times and codes of one track.
 type Track = (Vec<u16>, Vec<i16>);

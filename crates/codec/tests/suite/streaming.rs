@@ -1,19 +1,15 @@
 //! Parts of a file: segments, layers, bytes as they arrive.
-#![allow(clippy::unwrap_used)]
 
 use std::ops::Range;
 
+use crate::support::any_scene::any_scene;
+use crate::support::scenes;
 use proptest::prelude::*;
 use tcgs_codec::{
     Archive, Cohort, CompactScene, CompressSettings, DecodeLimits, Decoder, Event, Opening, Sampler, SceneFile,
     SceneInfo, SegmentCache, compress, decode, encode, encode_with,
 };
 use tcgs_core::Gaussians;
-
-#[allow(dead_code)] // Each test uses some of it.
-mod any_scene;
-mod scenes;
-use any_scene::any_scene;
 
 fn bytes(file: &[u8], range: Range<u64>) -> &[u8] {
     &file[range.start as usize..range.end as usize]
