@@ -4,7 +4,7 @@
 use libfuzzer_sys::fuzz_target;
 use tcgs_codec::{DecodeLimits, decode, decode_cohorts, encode, encode_cohorts};
 
-#[path = "../../crates/codec/tests/any_scene/mod.rs"]
+#[path = "../../crates/codec/tests/suite/support/any_scene.rs"]
 mod any_scene;
 
 fuzz_target!(|input: (u8, u8, u8, u64)| {

@@ -8,7 +8,7 @@ use tcgs_codec::{
     select_keypoints,
 };
 
-#[path = "../tests/scenes/mod.rs"]
+#[path = "../tests/suite/support/scenes.rs"]
 mod scenes;
 
 fn keypoints(criterion: &mut Criterion) {

@@ -14,7 +14,7 @@ use tcgs_codec::{
 };
 use tcgs_core::{DynamicGaussians, Gaussians, Layout, SceneReader};
 
-#[path = "../tests/scenes/mod.rs"]
+#[path = "../tests/suite/support/scenes.rs"]
 mod scenes;
 
 /// A room in which a twentieth of the Gaussians move all the time. The rest trembles by a tenth of the tolerances, like

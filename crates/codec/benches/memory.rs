@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use tcgs_codec::{Archive, CompressSettings, DecodeLimits, Opening, Sampler, SceneInfo, compress, encode};
 
-#[path = "../tests/scenes/mod.rs"]
+#[path = "../tests/suite/support/scenes.rs"]
 mod scenes;
 
 /// Counts allocated bytes. A block that grows counts twice meanwhile: not every system can grow it in place.

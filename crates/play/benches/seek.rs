@@ -6,7 +6,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use tcgs_codec::CompressSettings;
 use tcgs_play::{BytesSource, Player, PlayerSettings};
 
-#[path = "../tests/support/mod.rs"]
+#[path = "../tests/suite/support/mod.rs"]
 mod support;
 
 /// Number of Gaussians of a demo scene, of a room with two people, and of a large scene. 150 timesteps are five

@@ -1,7 +1,7 @@
 //! Forward and backward on a fixed random scene: 100,000 small Gaussians, five channels, at the two
 //! sizes that training uses (a quarter of the Panoptic images, and all of them).
 
-#[path = "../tests/support/mod.rs"]
+#[path = "../tests/suite/support/mod.rs"]
 mod support;
 
 use criterion::{Criterion, criterion_group, criterion_main};

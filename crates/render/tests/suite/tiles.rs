@@ -1,0 +1,75 @@
+//! Rendering some tiles of an image against rendering all of it.
+
+use crate::support::{random_scene, test_camera};
+use tcgs_core::{Activated, Image};
+use tcgs_render::{
+    CpuRasterizer, Laps, Rasterizer, RenderSettings, TileMask, count_pairs, gaussians_reaching, tiles_reached,
+};
+
+const SIZE: [usize; 2] = [75, 52];
+
+fn some_tiles() -> TileMask {
+    let mut mask = TileMask::none(SIZE[0], SIZE[1]);
+    [0, 7, 8, 12, 19].into_iter().for_each(|tile| mask.insert(tile));
+    mask
+}
+
+fn outside(mask: &TileMask) -> impl Fn(usize) -> bool + use<> {
+    let mut inside = vec![false; SIZE[0] * SIZE[1]];
+    for tile in mask.iter() {
+        let [columns, rows] = mask.pixels(tile, SIZE[0], SIZE[1]);
+        rows.for_each(|y| inside[y * SIZE[0]..][columns.clone()].fill(true));
+    }
+    move |pixel| !inside[pixel % inside.len()]
+}
+
+#[test]
+fn tiles_drawn_alone_have_the_bits_of_the_whole_image_and_its_gradients() {
+    let (camera, settings, mask) = (test_camera(SIZE[0], SIZE[1]), RenderSettings::default(), some_tiles());
+    let gaussians = random_scene(300, 5, 3);
+    let is_outside = outside(&mask);
+    let Ok((whole, saved)) = CpuRasterizer.forward(&gaussians, &camera, &settings);
+    assert_eq!(count_pairs(&gaussians, &camera), saved.counts());
+    let mut image = Image::filled(SIZE[0], SIZE[1], 5, -7.0);
+    let tiles = CpuRasterizer.forward_in(&gaussians, &camera, &settings, &mask, &mut image, &mut Laps::begin());
+    for (pixel, (&drawn, &expected)) in image.data.iter().zip(&whole.image.data).enumerate() {
+        assert_eq!(drawn, if is_outside(pixel) { -7.0 } else { expected }, "value {pixel}");
+    }
+
+    let mut v_image = Image::filled(SIZE[0], SIZE[1], 5, 0.0);
+    for (pixel, v) in v_image.data.iter_mut().enumerate().filter(|(pixel, _)| !is_outside(*pixel)) {
+        *v = (0.37 * pixel as f32).sin() + 0.3;
+    }
+    let Ok(expected) = CpuRasterizer.backward(&gaussians, &camera, &settings, &saved, &v_image);
+    // Pixels outside of the tiles are not read.
+    v_image.data.iter_mut().enumerate().filter(|(pixel, _)| is_outside(*pixel)).for_each(|(_, v)| *v = f32::NAN);
+    let laps = &mut Laps::begin();
+    let found = CpuRasterizer.backward_in(&gaussians, &camera, &settings, &tiles, &image, &v_image, laps);
+    assert_eq!(found.activated, expected.activated);
+    assert_eq!(found.v_means2d_ndc, expected.v_means2d_ndc);
+    let reaching = gaussians_reaching(&gaussians, &camera, &mask);
+    let visible: Vec<u32> = (0..300).filter(|&i| found.visible[i as usize]).collect();
+    assert_eq!(visible, reaching);
+    assert!(reaching.len() > 50 && reaching.len() < 290, "{} of 300", reaching.len());
+}
+
+#[test]
+fn no_gaussian_changes_a_tile_that_it_does_not_reach() {
+    let (camera, settings) = (test_camera(SIZE[0], SIZE[1]), RenderSettings::default());
+    let scene = random_scene(40, 1, 9);
+    for i in 0..scene.num_gaussians() {
+        let alone = Activated {
+            means: vec![scene.means[i]],
+            quats: vec![scene.quats[i]],
+            scales: vec![scene.scales[i]],
+            opacities: vec![scene.opacities[i]],
+            colors: vec![1.0],
+            num_channels: 1,
+            is_antialiased: false,
+        };
+        let is_outside = outside(&tiles_reached(&alone, &camera));
+        let Ok((output, _)) = CpuRasterizer.forward(&alone, &camera, &settings);
+        let drawn = output.image.data.iter().enumerate().filter(|(_, value)| **value != 0.0);
+        assert_eq!(drawn.filter(|(pixel, _)| is_outside(*pixel)).count(), 0, "Gaussian {i}");
+    }
+}
