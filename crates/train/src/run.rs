@@ -102,19 +102,18 @@ impl Run {
     pub fn open(folder: &Path) -> Result<Self, TrainError> {
         let path = folder.join(CONFIG);
         let text = read_text(&path, TrainConfig::MAX_BYTES).map_err(read(&path))?;
-        // `mask.relative` is not a setting; `false` has no effect.
-        let text = text.replace("relative = false\n", "");
         // Settings that a `config.toml` lacks are off, so that such a run goes on as it began.
         let (gate, births, deaths) = (GateConfig::OFF, BirthConfig::OFF, DeathConfig::OFF);
         let render = RenderConfig { antialiased: false };
         let mut base = TrainConfig { gate, births, deaths, render, ..TrainConfig::default() };
         (base.densify.unseen_share, base.densify.prune_error) = (0.0, 0.0);
         (base.rates.camera_centered, base.rates.color_damping) = (false, 0.0);
-        let mut config = base.merge(&text).map_err(|e| TrainError::File { path, problem: e.to_string() })?;
-        if !text.contains("prune_large") {
-            config.densify.prune_large = config.densify.reset;
-        }
-        Ok(Self::new(folder, config))
+        let merged = |base: &TrainConfig| {
+            base.merge(&text).map_err(|e| TrainError::File { path: path.clone(), problem: e.to_string() })
+        };
+        // Before `densify.prune_large` existed, large Gaussians were removed from the reset on.
+        base.densify.prune_large = merged(&base)?.densify.reset;
+        Ok(Self::new(folder, merged(&base)?))
     }
 
     fn new(folder: &Path, config: TrainConfig) -> Self {

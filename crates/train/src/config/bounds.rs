@@ -153,7 +153,7 @@ pub(super) fn check(table: &toml::Table) -> Result<(), ConfigError> {
 }
 
 /// As Rust writes an f32, without the digits of the f64 in a file.
-fn number(value: &toml::Value) -> String {
+pub(super) fn number(value: &toml::Value) -> String {
     match value.as_float() {
         Some(found) if found.is_finite() && (found as f32).is_infinite() => format!("{found:e}"),
         Some(found) => (found as f32).to_string(),

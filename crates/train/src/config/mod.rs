@@ -2,6 +2,7 @@
 
 mod bounds;
 mod groups;
+mod retired;
 
 use serde::{Deserialize, Serialize};
 
@@ -251,10 +252,12 @@ impl TrainConfig {
         config
     }
 
-    /// Parses a `config.toml`. Fields that it leaves out keep the values of `self`.
+    /// Parses a `config.toml`. Fields that it leaves out keep the values of `self`. A retired setting is passed over if
+    /// it has the value of its constant.
     ///
     /// # Errors
-    /// [`ConfigError`] for a field that does not exist, or a value of another type or range.
+    /// [`ConfigError`] for a field that does not exist, a value of another type or range, or a retired setting with
+    /// another value.
     pub fn merge(&self, text: &str) -> Result<Self, ConfigError> {
         let table: toml::Table = text.parse().map_err(|e: toml::de::Error| ConfigError::Syntax(one_line(&e)))?;
         let mut own = self.table();
@@ -345,6 +348,9 @@ fn merge_into(own: &mut toml::Table, given: toml::Table, prefix: &str) -> Result
         let name = format!("{prefix}{key}");
         let names = own.keys().map(|k| format!("{prefix}{k}")).collect::<Vec<_>>().join(", ");
         let Some(slot) = own.get_mut(&key) else {
+            if retired::is_retired(&name, &value)? {
+                continue;
+            }
             return Err(ConfigError::UnknownKey { key: name, expected: format!("one of {names}") });
         };
         match (slot, value) {

@@ -44,7 +44,7 @@ fn a_setting_that_is_gone_is_passed_over_where_it_was_off() {
         Run::open(folder.path()).map(|run| run.config().clone())
     };
     assert_eq!(opened("false").unwrap(), config);
-    assert!(opened("true").unwrap_err().to_string().contains("unknown setting mask.relative"));
+    assert!(opened("true").unwrap_err().to_string().contains("mask.relative is true, expected false"));
 }
 
 #[test]
