@@ -9,6 +9,17 @@ use crate::config::DensifyConfig;
 use crate::row::Row;
 use crate::state::{GradientStatistic, State};
 
+/// Largest scale up to which a Gaussian is cloned rather than split, as a share of the scene's radius. Reference.
+pub(crate) const CLONE_SCALE: f32 = 0.01;
+/// Number of children that replace a Gaussian that is split. Reference.
+pub(crate) const SPLIT_CHILDREN: usize = 2;
+/// The scales of the children are those of their parent divided by this. Reference.
+pub(crate) const SPLIT_SHRINK: f32 = 1.6;
+/// Scale above which a Gaussian is too large and may be removed, as a share of the scene's radius. Reference.
+pub(crate) const PRUNE_SCALE: f32 = 0.1;
+/// Opacity that a reset gives to all Gaussians, activated. Reference.
+pub(crate) const RESET_OPACITY: f32 = 0.01;
+
 /// The result of one call of [`densify`].
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Densified {
@@ -31,7 +42,7 @@ pub struct DensifyStep<'a> {
     pub scene_radius: f32,
     /// Whether this is the last densification, whose threshold of opacity (`prune_opacity_end`) is larger.
     pub last: bool,
-    /// Whether Gaussians of a scale above `prune_scale` are removed.
+    /// Whether too large Gaussians are removed.
     pub removes_large: bool,
     /// Seed of the random positions of the children.
     pub seed: u64,
@@ -52,7 +63,7 @@ pub fn densify(state: &mut State, step: &DensifyStep<'_>) -> Densified {
     let scales: Vec<f32> = state.parameters.gaussians.log_scales().iter().map(|&s| largest_scale(s)).collect();
     let steep: Vec<usize> = (0..n).filter(|&i| gradient(i) >= c.gradient_threshold).collect();
     let (cloned, split): (Vec<usize>, Vec<usize>) =
-        steep.into_iter().partition(|&i| scales[i] <= c.clone_scale * step.scene_radius);
+        steep.into_iter().partition(|&i| scales[i] <= CLONE_SCALE * step.scene_radius);
 
     // Parents of a split are gone.
     let mut is_parent = vec![false; n];
@@ -62,7 +73,7 @@ pub fn densify(state: &mut State, step: &DensifyStep<'_>) -> Densified {
     let mut rows: Vec<Row> = (0..n).filter(|&i| !is_parent[i]).map(Row::Kept).collect();
     rows.extend(cloned.iter().map(|&parent| Row::New { parent }));
     let first_child = rows.len();
-    for _ in 0..c.split_children {
+    for _ in 0..SPLIT_CHILDREN {
         rows.extend(split.iter().map(|&parent| Row::New { parent }));
     }
     state.gather(&rows);
@@ -77,14 +88,14 @@ pub fn densify(state: &mut State, step: &DensifyStep<'_>) -> Densified {
         for (d, row) in rotmat.iter().enumerate() {
             gaussians.means_mut()[i][d] += row[0] * local[0] + row[1] * local[1] + row[2] * local[2];
         }
-        gaussians.log_scales_mut()[i] = gaussians.log_scales_mut()[i].map(|s| s - c.split_shrink.ln());
+        gaussians.log_scales_mut()[i] = gaussians.log_scales_mut()[i].map(|s| s - SPLIT_SHRINK.ln());
     }
 
-    let threshold = if step.last { c.prune_opacity_end } else { c.prune_opacity };
+    let threshold = if step.last { c.prune_opacity_end } else { DensifyConfig::PRUNE_OPACITY };
     let keep: Vec<usize> = (0..rows.len())
         .filter(|&i| {
             let large =
-                step.removes_large && largest_scale(gaussians.log_scales()[i]) > c.prune_scale * step.scene_radius;
+                step.removes_large && largest_scale(gaussians.log_scales()[i]) > PRUNE_SCALE * step.scene_radius;
             sigmoid(gaussians.logit_opacities()[i]) >= threshold && !large
         })
         .collect();
@@ -107,11 +118,10 @@ pub fn remove_others(state: &mut State, keep: &[usize]) {
     state.gather(&keep.iter().map(|&i| Row::Kept(i)).collect::<Vec<_>>());
 }
 
-/// Sets the opacity of all Gaussians, and sets Adam's moments of the opacities to zero.
-///
-/// - `opacity`: activated, within (0, 1)
-pub fn reset_opacities(state: &mut State, opacity: f32) {
-    let logit = (opacity / (1.0 - opacity)).ln();
+/// Sets the opacity of all Gaussians, even of less opaque ones, to `RESET_OPACITY`, and Adam's moments of the opacities
+/// to zero.
+pub fn reset_opacities(state: &mut State) {
+    let logit = (RESET_OPACITY / (1.0 - RESET_OPACITY)).ln();
     state.parameters.gaussians.logit_opacities_mut().fill(logit);
     state.optimizer.clear(Attribute::LogitOpacity, false);
 }

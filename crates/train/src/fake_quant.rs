@@ -57,18 +57,19 @@ pub fn step_gradient_scale(bits: u8, numel: usize) -> f32 {
     (1.0 / (high * numel.max(1) as f64).sqrt()) as f32
 }
 
-/// The settings of a run's mixed-precision quantisation ([`TrainConfig::quantize`]) as the codec takes them.
+/// The settings of a run's mixed-precision quantisation ([`TrainConfig::quantize`]) as the codec takes them. Positions
+/// have the codec's default width; they are quantised after training.
 pub fn bit_settings(config: &TrainConfig) -> BitSettings {
     let q = &config.quantize;
     BitSettings {
         min_bits: q.min_bits,
         max_bits: q.max_bits,
         mean_bits: q.mean_bits,
-        position_bits: q.position_bits,
         mapping: match q.bit_map {
             BitMapKind::Log => BitMapping::Log,
             BitMapKind::Linear => BitMapping::Linear,
         },
+        ..BitSettings::default()
     }
 }
 

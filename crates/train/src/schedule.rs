@@ -9,6 +9,13 @@ use crate::config::{REFERENCE_ITERATIONS, TrainConfig};
 /// also change how the timesteps since their birth look.
 const YOUTH_RATE: f32 = 0.5;
 
+/// Iteration of the last densification, in a schedule of the reference's length. Reference.
+pub(crate) const DENSIFY_END: usize = 5000;
+
+/// Iterations between removals of masked Gaussians at the first timestep, in a schedule of the reference's length.
+/// Compact-3DGS.
+pub(crate) const MASK_PRUNE_INTERVAL: usize = 1000;
+
 /// Number of times that Gaussians are removed that the training images hardly need.
 const NUM_PRUNINGS: usize = 3;
 
@@ -189,7 +196,7 @@ impl Schedule {
     /// Newborn Gaussians are densified afterwards, so theirs count in the last half of their iterations.
     pub fn counts_gradients(&self, phase: Phase, iteration: usize) -> bool {
         match phase {
-            Phase::First => iteration <= self.scaled(self.config.densify.end),
+            Phase::First => iteration <= self.scaled(DENSIFY_END),
             Phase::Birth => self.config.births.gradient_threshold > 0.0 && 2 * iteration >= self.iterations(phase),
             Phase::Rest | Phase::Youth => false,
         }
@@ -206,7 +213,7 @@ impl Schedule {
 
     /// Whether this is the last densification, which removes far more.
     pub fn is_last_densification(&self, iteration: usize) -> bool {
-        self.densifies(iteration) && iteration + self.config.densify.interval > self.scaled(self.config.densify.end)
+        self.densifies(iteration) && iteration + self.config.densify.interval > self.scaled(DENSIFY_END)
     }
 
     /// Whether large Gaussians are removed by now.
@@ -218,13 +225,13 @@ impl Schedule {
     /// has no reset: Gaussians that have not recovered by then would be removed.
     pub fn resets_opacities(&self, iteration: usize) -> bool {
         let d = &self.config.densify;
-        let recovers = self.scaled(d.end) >= self.scaled(d.reset) + d.interval;
+        let recovers = self.scaled(DENSIFY_END) >= self.scaled(d.reset) + d.interval;
         d.reset > 0 && iteration > 0 && iteration == self.scaled(d.reset) && recovers
     }
 
     /// Whether masked Gaussians are removed at this iteration.
     pub fn prunes_masked(&self, iteration: usize) -> bool {
-        let interval = self.scaled(self.config.mask.prune_interval).max(1);
+        let interval = self.scaled(MASK_PRUNE_INTERVAL).max(1);
         let ended = iteration > self.scaled(self.config.mask.prune_end);
         self.config.mask.enabled && iteration > 0 && iteration.is_multiple_of(interval) && !ended
     }
@@ -238,8 +245,8 @@ impl Schedule {
 
     /// Whether Gaussians that the training images hardly need are removed at this iteration.
     pub fn prunes_unneeded(&self, iteration: usize) -> bool {
-        let (end, start) = (self.config.densify.end, self.config.quantize.start);
-        let is_due = |event| iteration == self.scaled(end + event * start.saturating_sub(end) / (NUM_PRUNINGS + 1));
+        let span = self.config.quantize.start.saturating_sub(DENSIFY_END);
+        let is_due = |event| iteration == self.scaled(DENSIFY_END + event * span / (NUM_PRUNINGS + 1));
         self.config.densify.prune_error > 0.0 && iteration > 0 && (1..=NUM_PRUNINGS).any(is_due)
     }
 

@@ -3,7 +3,7 @@
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use tcgs_capture::{Capture, Split};
-use tcgs_codec::BitMap;
+use tcgs_codec::{BitMap, BitSettings};
 use tcgs_core::{Attribute, BaseColumns, Camera, Image};
 use tcgs_train::engine::Target;
 use tcgs_train::{FakeQuantizers, Parameters, Past, Pose, State, TrainConfig};
@@ -109,7 +109,7 @@ pub fn later_timestep(parameters: Parameters, random: &mut Pcg64Mcg) -> anyhow::
     let mut state = State::new(parameters);
     state.canonicalize_quats();
     let p = &state.parameters;
-    let mut bit_map = BitMap::uniform(p.num_gaussians(), q.position_bits, q.min_bits);
+    let mut bit_map = BitMap::uniform(p.num_gaussians(), BitSettings::default().position_bits, q.min_bits);
     for attribute in Attribute::BASE.into_iter().filter(|&attribute| attribute != Attribute::Mean) {
         bit_map.widths[attribute.index()].fill_with(|| random.random_range(q.min_bits..=q.max_bits));
     }

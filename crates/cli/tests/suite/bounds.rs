@@ -297,7 +297,8 @@ fn numbers_beyond_their_bounds_are_named() {
     };
     train(&["--threads", "100000"], &["--threads", "'100000'", "a whole number from 1 to 1024"]);
     train(&["--iterations", "999999999999,1"], &["999999999999", "a whole number from 1 to 100000000"]);
-    train(&["--set", "densify.split_children=100000"], &["densify.split_children is 100000", "from 1 to 16"]);
+    train(&["--set", "quantize.max_bits=100000"], &["quantize.max_bits is 100000", "from 1 to 16"]);
+    train(&["--set", "densify.split_children=3"], &["densify.split_children is 3, expected 2"]);
     train(&["--frames", "0..4000000000"], &["data.end_frame is 4000000000"]);
     train(&["--downscale", "4000000000"], &["4000000000"]);
     refused(&["render", "x", "--out", text(&out), "--size", "16384x16384"], &["'16384x16384'", "67108864 at most"]);

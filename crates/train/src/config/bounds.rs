@@ -23,15 +23,13 @@ const ITERATIONS: i64 = 100_000_000;
 const TIMESTEPS: i64 = 10_000_000;
 /// Upper end of weights, and of factors that stretch the value they are compared with, or switch it off.
 const FACTOR: f64 = 1e6;
-/// Bounds of opacities: logits of 0 and 1 are infinite.
-const OPACITY: Bounds = Number(1e-6, 0.999);
 const SHARE: Bounds = Number(0.0, 1.0);
 /// A rate that is too large takes neither memory nor time: training stops at the first loss that is not finite.
 const RATE: Bounds = Number(0.0, 1e38);
 const WEIGHT: Bounds = Number(0.0, FACTOR);
 
 /// Every setting by its dotted name, in the order of `config.toml`.
-const BOUNDS: [(&str, Bounds); 89] = [
+const BOUNDS: [(&str, Bounds); 74] = [
     ("preset", Any),
     ("seed", Any),
     ("data.capture", Any),
@@ -74,19 +72,11 @@ const BOUNDS: [(&str, Bounds); 89] = [
     ("weights.mask", WEIGHT),
     ("weights.mask_consistency", WEIGHT),
     ("densify.start", Whole(0, ITERATIONS)),
-    ("densify.end", Whole(0, ITERATIONS)),
     ("densify.interval", Whole(1, ITERATIONS)),
     ("densify.gradient_threshold", Number(0.0, FACTOR)),
-    ("densify.clone_scale", Number(0.0, FACTOR)),
-    // Every event may multiply the number of Gaussians by this.
-    ("densify.split_children", Whole(1, 16)),
-    ("densify.split_shrink", Number(0.01, 100.0)),
-    ("densify.prune_opacity", SHARE),
     ("densify.prune_opacity_end", SHARE),
     ("densify.reset", Whole(0, ITERATIONS)),
     ("densify.prune_large", Whole(0, ITERATIONS)),
-    ("densify.prune_scale", Number(0.0, FACTOR)),
-    ("densify.reset_opacity", OPACITY),
     ("densify.unseen_share", SHARE),
     ("densify.prune_error", Number(0.0, FACTOR)),
     ("mask.enabled", Any),
@@ -95,7 +85,6 @@ const BOUNDS: [(&str, Bounds); 89] = [
     // The sigmoid of larger values is 0 or 1 in f32.
     ("mask.initial_logit", Number(-80.0, 80.0)),
     ("mask.reset", Any),
-    ("mask.prune_interval", Whole(1, ITERATIONS)),
     ("mask.prune_end", Whole(0, ITERATIONS)),
     ("quantize.enabled", Any),
     ("quantize.start", Whole(0, ITERATIONS)),
@@ -103,24 +92,17 @@ const BOUNDS: [(&str, Bounds); 89] = [
     ("quantize.max_bits", Whole(1, 16)),
     ("quantize.mean_bits", Number(0.0, 16.0)),
     ("quantize.bit_map", Any),
-    ("quantize.position_bits", Whole(1, 16)),
     ("quantize.learned_offset", Any),
     ("gate.enabled", Any),
-    ("gate.noise", Number(0.0, FACTOR)),
-    ("gate.contrast", Number(0.0, FACTOR)),
-    ("gate.growth", Number(0.0, FACTOR)),
     ("gate.share", SHARE),
     ("gate.settle", Number(0.0, FACTOR)),
-    ("gate.pace", Number(1.0, FACTOR)),
     ("gate.matches", Any),
     ("births.enabled", Any),
-    ("births.contrast", Number(0.0, FACTOR)),
     // Not 0: `births.enabled` switches births off.
     ("births.share", Number(1e-6, 1.0)),
     ("births.iterations", Whole(1, ITERATIONS)),
     ("births.youth", Whole(0, TIMESTEPS)),
     ("births.gradient_threshold", Number(0.0, FACTOR)),
-    ("births.opacity", SHARE),
     ("deaths.patience", Whole(0, TIMESTEPS)),
     // Below 1: a Gaussian that covers all pixels alone counts as seen.
     ("deaths.share", Number(0.0, 0.999)),

@@ -97,31 +97,18 @@ pub struct RateConfig {
 pub struct DensifyConfig {
     /// First event. Default 500.
     pub start: usize,
-    /// Last event. Default 5000.
-    pub end: usize,
     /// Iterations between events. Default 100.
     pub interval: usize,
     /// Mean NDC gradient from which a Gaussian is cloned or split. Reference 2e-4; default 3e-4, because antialiased
     /// splats have larger gradients.
     pub gradient_threshold: f32,
-    /// Largest scale, as a share of the scene's radius, up to which it is cloned rather than split. Default 0.01.
-    pub clone_scale: f32,
-    /// Children of a split. Default 2.
-    pub split_children: usize,
-    /// Children's scales are divided by this. Default 1.6.
-    pub split_shrink: f32,
-    /// Opacity below which a Gaussian is removed. Default 0.005.
-    pub prune_opacity: f32,
-    /// The same at the last event. Default 0.25.
+    /// Opacity below which a Gaussian is removed at the last event. Reference 0.25; default
+    /// [`PRUNE_OPACITY`](Self::PRUNE_OPACITY), as at all other events.
     pub prune_opacity_end: f32,
     /// At this iteration opacities are reset, once; 0: they are not. Reference 3000; default 0.
     pub reset: usize,
-    /// From this iteration on Gaussians of a scale over `prune_scale` are removed; 0: they are not. Reference 3000; default 0.
+    /// From this iteration on too large Gaussians are removed; 0: they are not. Reference 3000; default 0.
     pub prune_large: usize,
-    /// Share of the scene's radius. Default 0.1.
-    pub prune_scale: f32,
-    /// Opacity after the reset. Default 0.01.
-    pub reset_opacity: f32,
     /// Initial points that are in no training image are gathered into fewer: at most this share of the other points, and at
     /// least a thousand. 0: they are taken as they are. Default 0 (reference).
     pub unseen_share: f32,
@@ -130,6 +117,11 @@ pub struct DensifyConfig {
     /// of it back. In a schedule of fewer than 1000 iterations the share is smaller in proportion. 0: none are removed.
     /// Reference 0; default 1.
     pub prune_error: f32,
+}
+
+impl DensifyConfig {
+    /// Opacity below which a Gaussian is removed at every event but the last. Reference.
+    pub const PRUNE_OPACITY: f32 = 0.005;
 }
 
 /// Learned masks.
@@ -144,10 +136,8 @@ pub struct MaskConfig {
     pub initial_logit: f32,
     /// Start every timestep from `initial_logit` (the authors' fork) instead of the timestep before. Default false.
     pub reset: bool,
-    /// Iterations, of 10000, between prunings in the first timestep; scales with the schedule. Default 1000.
-    pub prune_interval: usize,
-    /// Last such pruning, of 10000; what is masked later stays until all timesteps have voted. Reference
-    /// 10000; default 6000, where quantisation starts.
+    /// Iteration, of 10000, of the last pruning in the first timestep; what is masked later stays until all timesteps
+    /// have voted. Reference 10000; default 6000, where quantisation starts.
     pub prune_end: usize,
 }
 
@@ -177,8 +167,6 @@ pub struct QuantizeConfig {
     pub mean_bits: f32,
     /// Sensitivity to bits. Default `log`; the paper's is `linear`.
     pub bit_map: BitMapKind,
-    /// Bits of positions, quantised after training. Default 16 (paper).
-    pub position_bits: u8,
     /// Whether quantizers learn an offset too (LSQ has none). Default true.
     pub learned_offset: bool,
 }
@@ -189,40 +177,20 @@ pub struct QuantizeConfig {
 pub struct GateConfig {
     /// Whether timesteps after the first train only what changes. Default true; false in `d3dgs` and `paper`.
     pub enabled: bool,
-    /// A block of 4x4 pixels has changed if its mean absolute difference from the image before exceeds the median of all
-    /// blocks of the view by so many standard deviations, estimated robustly, and by `contrast`. Default 6.
-    pub noise: f32,
-    /// See `noise`; in units of colour, of which white has 1. Default 0.006, one and a half of 255 levels.
-    pub contrast: f32,
-    /// A tile has evidence, too, if its mean absolute error has grown by more than this since it was last trained, in
-    /// units of colour. Default 0.006.
-    pub growth: f32,
     /// A Gaussian is active if at least this share of its blending weight, over all views, falls on changed blocks.
     /// Default 0.4; 0 makes every Gaussian active that a changed block shows.
     pub share: f32,
     /// A timestep has settled when its losses fell, over the last pass through its views, by less than this share of
-    /// the most that they fell over one pass. Default 0.05.
+    /// the most that they fell over one pass. It then goes through the rest of its schedule faster. Default 0.05.
     pub settle: f32,
-    /// How many times as fast a timestep goes through the rest of its schedule once it has settled. Default 3; 1 to give
-    /// every timestep all of its iterations.
-    pub pace: f32,
-    /// Whether active Gaussians start where matches between a timestep's images and those before find them, instead of where
-    /// they would be at constant velocity, if these explain the images much better. Default true.
+    /// Whether active Gaussians start where matches between a timestep's images and those before find them, instead of
+    /// where they would be at constant velocity, if these explain the images much better. Default true.
     pub matches: bool,
 }
 
 impl GateConfig {
     /// The settings of presets `default` and `fast`.
-    pub const ON: Self = Self {
-        enabled: true,
-        noise: 6.0,
-        contrast: 0.006,
-        growth: 0.006,
-        share: 0.4,
-        settle: 0.05,
-        pace: 3.0,
-        matches: true,
-    };
+    pub const ON: Self = Self { enabled: true, share: 0.4, settle: 0.05, matches: true };
 
     /// The settings of presets that train everything, and of runs whose `config.toml` knows of no gate.
     pub const OFF: Self = Self { enabled: false, matches: false, ..Self::ON };
@@ -236,9 +204,6 @@ pub struct BirthConfig {
     /// a run that continues another one's state adds none.
     /// Default true; false in `d3dgs` and `paper`.
     pub enabled: bool,
-    /// A block of 4x4 pixels is not explained if its mean absolute error is above one and a half times that of its tile when last
-    /// explained, the camera's noise, and this much; in units of colour. Default 0.02.
-    pub contrast: f32,
     /// Most places at which Gaussians are born at a timestep, as a share of the Gaussians that there are. Default 0.02.
     pub share: f32,
     /// Iterations of a timestep in which they learn all their attributes, if all views see them. Default 200.
@@ -249,21 +214,11 @@ pub struct BirthConfig {
     /// Mean NDC gradient from which a newborn is cloned or split after half of its iterations, with the other settings of
     /// `densify`; 0: none is. Default 6e-4.
     pub gradient_threshold: f32,
-    /// Opacity below which they are dropped afterwards. Default 0.1.
-    pub opacity: f32,
 }
 
 impl BirthConfig {
     /// The settings of presets `default` and `fast`.
-    pub const ON: Self = Self {
-        enabled: true,
-        contrast: 0.02,
-        share: 0.02,
-        iterations: 200,
-        youth: 16,
-        gradient_threshold: 6e-4,
-        opacity: 0.1,
-    };
+    pub const ON: Self = Self { enabled: true, share: 0.02, iterations: 200, youth: 16, gradient_threshold: 6e-4 };
 
     /// The settings of presets that add none, and of runs whose `config.toml` knows of no births.
     pub const OFF: Self = Self { enabled: false, youth: 0, gradient_threshold: 0.0, ..Self::ON };

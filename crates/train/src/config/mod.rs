@@ -161,29 +161,15 @@ impl TrainConfig {
             weights: WeightConfig::REFERENCE,
             densify: DensifyConfig {
                 start: 500,
-                end: 5000,
                 interval: 100,
                 gradient_threshold: 2e-4,
-                clone_scale: 0.01,
-                split_children: 2,
-                split_shrink: 1.6,
-                prune_opacity: 0.005,
                 prune_opacity_end: 0.25,
                 reset: 3000,
                 prune_large: 3000,
-                prune_scale: 0.1,
-                reset_opacity: 0.01,
                 unseen_share: 0.0,
                 prune_error: 0.0,
             },
-            mask: MaskConfig {
-                enabled: true,
-                threshold: 0.01,
-                initial_logit: 1.0,
-                reset: false,
-                prune_interval: 1000,
-                prune_end: 10_000,
-            },
+            mask: MaskConfig { enabled: true, threshold: 0.01, initial_logit: 1.0, reset: false, prune_end: 10_000 },
             quantize: QuantizeConfig {
                 enabled: true,
                 start: 6000,
@@ -191,7 +177,6 @@ impl TrainConfig {
                 max_bits: 8,
                 mean_bits: 5.0,
                 bit_map: BitMapKind::Log,
-                position_bits: 16,
                 learned_offset: true,
             },
             gate: GateConfig::OFF,
@@ -236,7 +221,7 @@ impl TrainConfig {
                 config.mask.enabled = false;
                 config.mask.prune_end = 6000;
                 config.densify.prune_error = 1.0;
-                config.densify.prune_opacity_end = config.densify.prune_opacity;
+                config.densify.prune_opacity_end = DensifyConfig::PRUNE_OPACITY;
                 // Antialiased splats have larger gradients.
                 config.densify.gradient_threshold = 3e-4;
                 config.render.antialiased = true;
@@ -391,8 +376,8 @@ mod tests {
         assert_eq!((m.enabled, m.threshold, m.initial_logit, m.reset), (true, 0.01, 1.0, false));
         assert_eq!((q.enabled, q.start, q.min_bits, q.max_bits), (true, 6000, 4, 8));
         assert_eq!((q.mean_bits, q.bit_map, q.learned_offset), (5.0, BitMapKind::Linear, false));
-        assert_eq!((d.start, d.end, d.interval, d.reset, d.prune_large), (500, 5000, 100, 3000, 3000));
-        assert_eq!((d.gradient_threshold, d.prune_opacity, d.prune_opacity_end), (2e-4, 0.005, 0.25));
+        assert_eq!((d.start, d.interval, d.reset, d.prune_large), (500, 100, 3000, 3000));
+        assert_eq!((d.gradient_threshold, d.prune_opacity_end), (2e-4, 0.25));
         assert_eq!((d.prune_error, d.unseen_share), (0.0, 0.0));
         let r = &paper.rates;
         assert_eq!((r.step, r.mask, r.color_rest, r.motion_decay), (0.02, 0.01, r.color, 1.0));
@@ -421,11 +406,10 @@ mod tests {
             ("quantize.bit_map", "cubic", "not a configuration"),
             ("weights.rigid", "nan", "weights.rigid is NaN, expected a number from 0 to 1000000"),
             ("rates.mean", "-1.0", "rates.mean is -1, expected"),
-            ("gate.pace", "0.5", "gate.pace is 0.5, expected a number from 1 to 1000000"),
+            ("gate.share", "1.5", "gate.share is 1.5, expected a number from 0 to 1"),
             ("deaths.share", "1.0", "deaths.share is 1, expected a number from 0 to 0.999"),
             ("color.degree", "4", "color.degree is 4, expected a whole number from 0 to 3"),
             ("births.share", "0.0", "births.share is 0, expected a number from 0.000001 to 1"),
-            ("densify.split_children", "100000", "split_children is 100000, expected a whole number from 1 to 16"),
             ("quantize.min_bits", "300", "quantize.min_bits is 300, expected a whole number from 1 to 16"),
         ] {
             let error = config.clone().set(key, value).unwrap_err().to_string();

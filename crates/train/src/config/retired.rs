@@ -1,17 +1,33 @@
 //! Retired settings, which the `config.toml` of an old run holds. Such a run goes on if each has the one value that
 //! this program computes with.
 //!
-//! What lives here: names and values.
+//! What lives here: names and values. What does not: the constants, each beside the code that uses it. A test compares
+//! the values with the constants.
 
 use toml::Value;
-use toml::Value::Boolean;
+use toml::Value::{Boolean, Float, Integer};
 
 use super::{ConfigError, bounds};
 
 /// Every retired setting by its dotted name, with the only value that it may have.
-static RETIRED: [(&str, Value); 1] = [
+static RETIRED: [(&str, Value); 16] = [
+    ("densify.end", Integer(5000)),
+    ("densify.clone_scale", Float(0.01)),
+    ("densify.split_children", Integer(2)),
+    ("densify.split_shrink", Float(1.6)),
+    ("densify.prune_opacity", Float(0.005)),
+    ("densify.prune_scale", Float(0.1)),
+    ("densify.reset_opacity", Float(0.01)),
+    ("mask.prune_interval", Integer(1000)),
     // The method that `true` switched on is gone.
     ("mask.relative", Boolean(false)),
+    ("quantize.position_bits", Integer(16)),
+    ("gate.noise", Float(6.0)),
+    ("gate.contrast", Float(0.006)),
+    ("gate.growth", Float(0.006)),
+    ("gate.pace", Float(3.0)),
+    ("births.contrast", Float(0.02)),
+    ("births.opacity", Float(0.1)),
 ];
 
 /// Whether a setting is retired, and can therefore be passed over.
@@ -35,7 +51,8 @@ pub(super) fn is_retired(key: &str, found: &Value) -> Result<bool, ConfigError> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::TrainConfig;
+    use crate::config::{DensifyConfig, TrainConfig};
+    use crate::{densify, gate, schedule, trainer};
 
     #[test]
     fn an_old_configuration_is_read_if_it_has_the_values_of_the_constants() {
@@ -47,11 +64,40 @@ mod tests {
         let old = RETIRED.iter().fold(config.to_toml(), |text, (key, only)| with(&text, key, only));
         assert_eq!(config.merge(&old).unwrap(), config);
         for (key, only) in &RETIRED {
-            let other = Boolean(true);
+            let other = match only {
+                Float(number) => Float(number + 0.5),
+                Integer(number) => Integer(number + 1),
+                _ => Boolean(true),
+            };
             let error = config.merge(&with(&config.to_toml(), key, &other)).unwrap_err().to_string();
             let start = format!("{key} is {}, expected {}, since", bounds::number(&other), bounds::number(only));
             assert!(error.starts_with(&start), "{error}");
             assert_eq!(config.clone().set(key, &other.to_string()).unwrap_err().to_string(), error);
         }
+    }
+
+    #[test]
+    fn values_are_those_of_the_constants() {
+        let constants = [
+            ("densify.end", schedule::DENSIFY_END as f32),
+            ("densify.clone_scale", densify::CLONE_SCALE),
+            ("densify.split_children", densify::SPLIT_CHILDREN as f32),
+            ("densify.split_shrink", densify::SPLIT_SHRINK),
+            ("densify.prune_opacity", DensifyConfig::PRUNE_OPACITY),
+            ("densify.prune_scale", densify::PRUNE_SCALE),
+            ("densify.reset_opacity", densify::RESET_OPACITY),
+            ("mask.prune_interval", schedule::MASK_PRUNE_INTERVAL as f32),
+            ("quantize.position_bits", tcgs_codec::BitSettings::default().position_bits.into()),
+            ("gate.noise", gate::NOISE_DEVIATIONS),
+            ("gate.contrast", gate::CONTRAST),
+            ("gate.growth", gate::GROWTH),
+            ("gate.pace", gate::SETTLED_PACE as f32),
+            ("births.contrast", gate::UNEXPLAINED_CONTRAST),
+            ("births.opacity", trainer::MIN_OPACITY),
+        ];
+        for (key, constant) in constants {
+            assert!(is_retired(key, &Float(constant.into())).unwrap(), "{key}");
+        }
+        assert_eq!(constants.len() + 1, RETIRED.len());
     }
 }

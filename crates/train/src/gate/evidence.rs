@@ -18,6 +18,12 @@ const BLOCK: usize = 4;
 /// Standard deviation of a normal variable whose median absolute deviation is 1.
 const NORMAL_DEVIATION: f32 = 1.4826;
 
+/// A block has changed if its difference exceeds the median of all blocks of the view by so many robust standard
+/// deviations, and by [`CONTRAST`].
+pub(crate) const NOISE_DEVIATIONS: f32 = 6.0;
+/// Least difference beyond the noise level that is a change, in units of colour: one and a half of 255 levels.
+pub(crate) const CONTRAST: f32 = 0.006;
+
 /// Blocks of an image, of [`BLOCK`] pixels a side; those at the right and lower edge may be cut.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Blocks {
@@ -101,16 +107,15 @@ pub(super) fn differences(before: &Image, now: &Image) -> Vec<f32> {
     means
 }
 
-/// The difference up to which noise explains a block: the median over the blocks plus `deviations` robust standard
-/// deviations. Moving content covers fewer than half of the blocks; noise of cameras and of video compression is in
-/// all.
+/// The difference up to which noise explains a block: the median over the blocks plus [`NOISE_DEVIATIONS`] robust
+/// standard deviations. Moving content covers fewer than half of the blocks; noise of cameras and of video compression
+/// is in all.
 ///
 /// - `differences`: of the blocks of one view
-/// - `deviations`: number of standard deviations
-pub(super) fn noise_level(differences: &[f32], deviations: f32) -> f32 {
+pub(super) fn noise_level(differences: &[f32]) -> f32 {
     let middle = median(differences);
     let distances: Vec<f32> = differences.iter().map(|difference| (difference - middle).abs()).collect();
-    middle + deviations * NORMAL_DEVIATION * median(&distances)
+    middle + NOISE_DEVIATIONS * NORMAL_DEVIATION * median(&distances)
 }
 
 /// The upper median; 0 without values.
@@ -180,7 +185,6 @@ mod tests {
     use rand_pcg::Pcg64Mcg;
 
     use super::*;
-    use crate::config::GateConfig;
 
     const SIZE: [usize; 2] = [90, 70];
 
@@ -204,7 +208,6 @@ mod tests {
 
     #[test]
     fn noise_marks_nothing_and_what_moves_is_marked_whole() {
-        let config = GateConfig::ON;
         let moved = |x: usize, y: usize| {
             if (40..50).contains(&x) && (20..40).contains(&y) { 0.5 } else { wall(x, y) }
         };
@@ -212,7 +215,7 @@ mod tests {
             let before = shot(1, sigma, wall);
             let marked = |now: &Image| {
                 let differences = differences(&before, now);
-                let limit = noise_level(&differences, config.noise) + config.contrast;
+                let limit = noise_level(&differences) + CONTRAST;
                 changed_blocks(&differences, limit, SIZE[0], SIZE[1])
             };
             assert!(marked(&shot(2, sigma, wall)).is_marked.iter().all(|marked| !marked), "noise of {sigma}");
@@ -230,11 +233,11 @@ mod tests {
     fn the_level_of_noise_lies_above_nearly_all_blocks_and_is_not_moved_by_a_few() {
         let sigma = 3.0 / 255.0;
         let before = shot(1, sigma, wall);
-        let still = noise_level(&differences(&before, &shot(2, sigma, wall)), 6.0);
+        let still = noise_level(&differences(&before, &shot(2, sigma, wall)));
         // Blocks of two images with noise differ by 2/√π of its deviation in the mean.
         assert!(still > 1.13 * sigma && still < 2.5 * sigma, "{still} for {sigma}");
         let moved = |x: usize, y: usize| if x < 30 { 1.0 - wall(x, y) } else { wall(x, y) };
-        let with_motion = noise_level(&differences(&before, &shot(2, sigma, moved)), 6.0);
+        let with_motion = noise_level(&differences(&before, &shot(2, sigma, moved)));
         assert!(with_motion < 2.0 * still, "{with_motion} against {still}");
         assert_eq!((median(&[]), median(&[3.0, 1.0, 2.0])), (0.0, 2.0));
     }

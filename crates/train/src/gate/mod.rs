@@ -28,11 +28,15 @@ use tcgs_render::{CpuRasterizer, Laps, RenderSettings, TileMask, tiles_reached};
 
 pub use self::activity::Trained;
 pub(crate) use self::activity::{Activity, Shares};
-pub(crate) use self::evidence::{Blocks, median};
+#[cfg(test)]
+pub(crate) use self::evidence::NOISE_DEVIATIONS;
+pub(crate) use self::evidence::{Blocks, CONTRAST, median};
 use self::evidence::{changed_blocks, differences, noise_level, tile_errors, tiles_of};
 use self::matches::{Matches, Mover};
 pub(crate) use self::nursery::Nursery;
 pub(crate) use self::pace::Pace;
+#[cfg(test)]
+pub(crate) use self::pace::SETTLED_PACE;
 use crate::config::{DeathConfig, GateConfig, MaskConfig};
 use crate::engine::Target;
 use crate::engine::cpu::Drawn;
@@ -42,12 +46,18 @@ use crate::state::State;
 
 /// The number of noise estimates of a camera whose median counts.
 const NOISE_ESTIMATES: usize = 9;
-/// A tile's error may grow by this share of the noise level without being evidence, beyond [`GateConfig::growth`]. A
-/// tile has sixteen blocks.
+/// A tile's mean absolute error may grow by this much since the tile was last trained without being evidence, in units
+/// of colour.
+pub(crate) const GROWTH: f32 = 0.006;
+/// A tile's error may grow by this share of the noise level without being evidence, beyond [`GROWTH`]. A tile has
+/// sixteen blocks.
 const GROWTH_NOISE: f32 = 0.1;
 /// A block is unexplained if its error exceeds this multiple of its tile's error when that was last explained, beyond
-/// [`BirthConfig::contrast`](crate::BirthConfig::contrast).
+/// [`UNEXPLAINED_CONTRAST`].
 const UNEXPLAINED_GROWTH: f32 = 1.5;
+/// Least mean absolute error of an unexplained block, beyond the camera's noise and the error that its tile had when it
+/// was last explained; in units of colour.
+pub(crate) const UNEXPLAINED_CONTRAST: f32 = 0.02;
 /// When training could not lower a tile's error, the gate accepts this share of the growth per timestep. Until then the
 /// tile still has evidence, because uncovered content has blending weights only from the next timestep on.
 const PATIENCE: f32 = 0.25;
@@ -159,13 +169,13 @@ impl Gate {
                 .enumerate()
                 .map(|(i, (estimates, reference, before, picture, target))| {
                     let differences = differences(before, &target.image);
-                    estimates.push(noise_level(&differences, config.noise));
+                    estimates.push(noise_level(&differences));
                     let too_many = estimates.len().saturating_sub(NOISE_ESTIMATES);
                     estimates.drain(..too_many);
                     let level = median(estimates);
                     let (width, height) = (target.image.width, target.image.height);
-                    let mut blocks = changed_blocks(&differences, level + config.contrast, width, height);
-                    let limit = config.growth + GROWTH_NOISE * level;
+                    let mut blocks = changed_blocks(&differences, level + CONTRAST, width, height);
+                    let limit = GROWTH + GROWTH_NOISE * level;
                     let tiles = TileMask::none(width, height);
                     for (tile, error) in errors(state, i, picture, &target.image).into_iter().enumerate() {
                         if error > reference[tile] + limit {
@@ -236,12 +246,11 @@ impl Gate {
 
     /// Blocks of each view that the scene does not explain, among the tiles trained in a timestep.
     ///
-    /// A block is unexplained if its mean absolute error exceeds 1.5 times the error of its tile when that was last
-    /// explained, by more than `contrast` and the camera's noise.
+    /// A block is unexplained if its mean absolute error exceeds [`UNEXPLAINED_GROWTH`] times the error that its tile
+    /// had when it was last explained, by more than [`UNEXPLAINED_CONTRAST`] and the camera's noise.
     ///
     /// - `state`: after the timestep; [`Self::redraw`] has drawn its pictures
-    /// - `contrast`: units of colour
-    pub fn unexplained(&self, state: &State, views: &[View], activity: &Activity, contrast: f32) -> Vec<Blocks> {
+    pub fn unexplained(&self, state: &State, views: &[View], activity: &Activity) -> Vec<Blocks> {
         let Some(memory) = &self.memory else { return Vec::new() };
         let p = &state.parameters;
         let of_view = |(i, view): (usize, &View)| {
@@ -249,7 +258,7 @@ impl Gate {
             let seen = p.seen_by_camera(i, memory.pictures[i].clone());
             let mut blocks = Blocks::none(width, height);
             let differences = differences(&seen, &view.image);
-            let level = median(&self.record.noise[i]) + contrast;
+            let level = median(&self.record.noise[i]) + UNEXPLAINED_CONTRAST;
             for (index, difference) in differences.into_iter().enumerate() {
                 let tile = activity.tiles[i].of_pixel(blocks.pixel(index));
                 let limit = UNEXPLAINED_GROWTH * self.record.errors[i][tile] + level;

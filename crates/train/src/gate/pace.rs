@@ -8,6 +8,8 @@ use crate::config::GateConfig;
 /// Fewest iterations over which losses are averaged. A whole number of passes through the views, since the loss depends
 /// on the view.
 const MIN_STRETCH: usize = 20;
+/// How many times as fast a timestep goes through the rest of its schedule once its losses have settled.
+pub(crate) const SETTLED_PACE: f64 = 3.0;
 
 /// Progress of one timestep through its schedule: one place per iteration, and several once its losses have settled, so
 /// that the learning rates still come down.
@@ -36,7 +38,7 @@ impl Pace {
         let stretch = views * MIN_STRETCH.div_ceil(views.max(1));
         Self {
             settle: config.settle.into(),
-            faster: config.pace.into(),
+            faster: SETTLED_PACE,
             length,
             position: 0.0,
             is_settled: false,
@@ -49,7 +51,7 @@ impl Pace {
 
     /// The pace of a timestep that takes all of its iterations.
     pub fn even(length: usize, views: usize) -> Self {
-        Self::new(&GateConfig { pace: 1.0, ..GateConfig::OFF }, length, views)
+        Self { faster: 1.0, ..Self::new(&GateConfig::OFF, length, views) }
     }
 
     /// Iterations of the timestep if it does not settle.

@@ -11,6 +11,8 @@ use std::sync::Arc;
 use tcgs_core::{Camera, Layout, PointCloud, View};
 use tcgs_metrics::psnr;
 
+#[cfg(test)]
+pub(crate) use self::births::MIN_OPACITY;
 pub use self::glimpse::{Glimpse, Glimpsed};
 pub use self::timestep::Progress;
 use crate::TrainError;

@@ -275,7 +275,7 @@ impl Trainer {
             densify(state, &step);
         }
         if self.schedule.resets_opacities(iteration) {
-            reset_opacities(state, self.config.densify.reset_opacity);
+            reset_opacities(state);
         }
         if self.schedule.prunes_masked(iteration) {
             let threshold = self.config.mask.threshold;

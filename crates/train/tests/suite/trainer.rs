@@ -330,7 +330,7 @@ fn density_adapts_by_the_rules() {
     }
     assert_eq!(state.statistic, GradientStatistic::new(5));
     assert_eq!(state.optimizer.mask.first.len(), 5);
-    reset_opacities(&mut state, 0.01);
+    reset_opacities(&mut state);
     let opacity = tcgs_core::sigmoid(state.parameters.gaussians.logit_opacities()[0]);
     assert!((opacity - 0.01).abs() < 1e-6);
 }

@@ -45,6 +45,8 @@ use crate::state::State;
 
 /// Largest scale of a Gaussian that is kept, in distances between the rays that found its place.
 const MAX_GROWTH: f32 = 3.0;
+/// Opacity below which a newborn Gaussian is dropped after its iterations.
+pub(crate) const MIN_OPACITY: f32 = 0.1;
 
 impl Trainer {
     /// Gives birth to content that a timestep shows and the trained scene does not, then trains the young.
@@ -66,7 +68,7 @@ impl Trainer {
         let config = self.config.births.clone();
         let Some(gate) = &self.gate else { return Ok(()) };
         let state = self.engine.state()?;
-        let unexplained = gate.unexplained(state, views, activity, config.contrast);
+        let unexplained = gate.unexplained(state, views, activity);
         let most = (f64::from(config.share) * state.parameters.num_gaussians() as f64).ceil() as usize;
         let seeds = seeds(views, &unexplained, state.parameters.gaussians.means(), most);
         let mut born = alone(newborn(&seeds, &state.parameters, self.config.mask.initial_logit), state);
@@ -107,7 +109,7 @@ impl Trainer {
         let nursery = Nursery::new(gate, &all, &rows, views, Some(unexplained));
         *born = self.nurse(Phase::Birth, nursery, born.clone(), None, views)?;
         let mask_threshold = self.config.mask.enabled.then_some(self.config.mask.threshold);
-        let keep = viable(&born.parameters, spacings, self.config.births.opacity, mask_threshold);
+        let keep = viable(&born.parameters, spacings, mask_threshold);
         remove_others(born, &keep);
         *spacings = keep.iter().map(|&i| spacings[i]).collect();
         Ok(())
@@ -219,12 +221,12 @@ fn alone(few: Parameters, scene: &State) -> State {
 /// Indices of the Gaussians worth keeping: neither transparent nor hidden, and not far larger than their ray spacing.
 ///
 /// - `spacings`: `[grown]` distance between the rays that found each, scene units
-fn viable(grown: &Parameters, spacings: &[f32], opacity: f32, mask_threshold: Option<f32>) -> Vec<usize> {
+fn viable(grown: &Parameters, spacings: &[f32], mask_threshold: Option<f32>) -> Vec<usize> {
     let (opacities, scales) = (grown.gaussians.logit_opacities(), grown.gaussians.log_scales());
     let is_viable = |&i: &usize| {
         let shown = mask_threshold.is_none_or(|threshold| mask(grown.mask_logits[i], threshold) > 0.0);
         let largest = scales[i].into_iter().fold(f32::MIN, f32::max).exp();
-        shown && sigmoid(opacities[i]) >= opacity && largest <= MAX_GROWTH * spacings[i]
+        shown && sigmoid(opacities[i]) >= MIN_OPACITY && largest <= MAX_GROWTH * spacings[i]
     };
     (0..grown.num_gaussians()).filter(is_viable).collect()
 }
