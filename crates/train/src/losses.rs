@@ -103,10 +103,9 @@ losses! {
     /// Colours that change with time: `mean ‖colour − previous colour‖₁`. Weight 0.01 (reference, where a bug makes it
     /// inactive); default 0.005.
     SoftColor soft_color = 0.01;
-    /// `L_mask`, a mean. Weight 0.01 (paper); default 0.05: half the Gaussians for 0.1 dB.
+    /// `L_mask`, a mean. Weight 0.01 (paper).
     Mask mask = 0.01;
-    /// `L_mc`, a mean. Weight 0.01 (paper); default 0.5, against the stronger pull of `mask`: what is masked at one
-    /// timestep but not at its mean over time would appear when pruned scenes are drawn unmasked.
+    /// `L_mc`, a mean. Weight 0.01 (paper).
     MaskConsistency mask_consistency = 0.01;
 }
 

@@ -95,7 +95,7 @@ pub struct Arguments {
     /// Average images over N x N pixels [default: 1]
     #[arg(long, value_name = "N", value_parser = options::positive)]
     downscale: Option<usize>,
-    /// Iterations of the first and of every later timestep [default: the preset's; 10000,2000, fast: 4000,300]
+    /// Iterations of the first and of every later timestep [default: the preset's]
     #[arg(long, value_name = "FIRST,REST", value_parser = options::iterations)]
     iterations: Option<Pair<usize>>,
     /// Continue RUN after its last whole checkpoint; begin it if there is none. Options that are not given keep the

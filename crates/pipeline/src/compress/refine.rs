@@ -11,7 +11,7 @@ use tcgs_codec::{CompactFile, CompactScene, CompressSettings, Light};
 use tcgs_core::View;
 use tcgs_render::device::GpuError;
 use tcgs_render::{CpuRasterizer, Rasterizer};
-use tcgs_train::{Parameters, Preset, RefineConfig, Refiner, TrainConfig, refine_order};
+use tcgs_train::{DeathConfig, Parameters, Preset, RefineConfig, Refiner, TrainConfig, refine_order};
 
 use super::parts::are_followed;
 use super::rate::{Allowance, NUM_MEASURED, Visit, choose_quality, without_costly};
@@ -58,9 +58,9 @@ pub struct RefineOptions {
 }
 
 impl RefineOptions {
-    /// For [`CompressOptions::min_share`](super::CompressOptions::min_share) of a scene that is refined, which makes up for
-    /// what it leaves out.
-    pub const MIN_SHARE: f32 = 1e-6;
+    /// The [`min_share`](super::CompressOptions::min_share) of a refined scene: refinement makes up for Gaussians that
+    /// are left out. Training, too, takes a Gaussian below this share for unseen.
+    pub const MIN_SHARE: f32 = DeathConfig::ON.share;
 
     /// How a scene is refined where it can be and nothing else is asked for: on its capture, by [`RefineBudget::of`].
     ///

@@ -184,7 +184,8 @@ pub struct GateConfig {
     /// the most that they fell over one pass. It then goes through the rest of its schedule faster. Default 0.05.
     pub settle: f32,
     /// Whether active Gaussians start where matches between a timestep's images and those before find them, instead of
-    /// where they would be at constant velocity, if these explain the images much better. Default true.
+    /// where they would be at constant velocity, if these explain the images much better. Default true; false in
+    /// `d3dgs` and `paper`.
     pub matches: bool,
 }
 

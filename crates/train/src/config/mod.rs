@@ -5,6 +5,7 @@ mod groups;
 mod retired;
 
 use serde::{Deserialize, Serialize};
+use tcgs_codec::BitSettings;
 
 pub use self::groups::{
     BirthConfig, BitMapKind, ColorConfig, DataConfig, DeathConfig, DensifyConfig, GateConfig, MaskConfig,
@@ -111,7 +112,7 @@ impl Default for TrainConfig {
 }
 
 impl TrainConfig {
-    /// Most bytes of a `config.toml` that is read. [`Self::to_toml`] writes three thousand.
+    /// Most bytes of a `config.toml` that is read. [`Self::to_toml`] writes one to two thousand.
     pub const MAX_BYTES: u64 = 1 << 20;
 
     /// The settings of a preset.
@@ -121,6 +122,7 @@ impl TrainConfig {
     /// assert!(!TrainConfig::preset(Preset::D3dgs).mask.enabled);
     /// ```
     pub fn preset(preset: Preset) -> Self {
+        let bits = BitSettings::default();
         let reference = Self {
             preset,
             seed: 0,
@@ -173,9 +175,9 @@ impl TrainConfig {
             quantize: QuantizeConfig {
                 enabled: true,
                 start: 6000,
-                min_bits: 4,
-                max_bits: 8,
-                mean_bits: 5.0,
+                min_bits: bits.min_bits,
+                max_bits: bits.max_bits,
+                mean_bits: bits.mean_bits,
                 bit_map: BitMapKind::Log,
                 learned_offset: true,
             },
@@ -207,14 +209,12 @@ impl TrainConfig {
                 config.rates.camera_centered = true;
                 // Less of what holds motion together, and much less of outlines, at which Gaussians would gather.
                 config.weights = WeightConfig {
-                    image: 1.0,
                     segmentation: 0.5,
                     rigid: 2.0,
                     rot: 2.0,
                     iso: 1.0,
                     floor: 1.0,
                     background: 10.0,
-                    stillness: 0.0,
                     soft_color: 0.005,
                     ..WeightConfig::REFERENCE
                 };
