@@ -1,8 +1,10 @@
 //! Cameras between those of a capture, where no image tells what a picture should show.
 
+use std::array::from_fn;
 use std::ops::Range;
 
 use crate::camera_path::{camera_of, numbers_of};
+use crate::subject::{PARALLEL, nearest_to_axes};
 use crate::{Camera, dot};
 
 /// Least cosine of the angle between the directions of neighbours. Half-way between cameras that face each other is the
@@ -12,9 +14,13 @@ const LEAST_COSINE: f64 = -0.2;
 const MAX_NEIGHBORS: usize = 5;
 /// Generates weights that fill a triangle evenly: the plastic number to the power of -1 and of -2 (Roberts 2018).
 const STEPS: [f64; 2] = [0.754_877_666_246_693, 0.569_840_290_998_053_3];
+/// A camera looks at a point if the cosine of the angle between its direction and that from the point is at most this.
+const LOOKS_AT: f64 = -0.5;
+/// Farthest that a camera is moved out, relative to its distance from the point that its neighbours look at.
+const MAX_OUTWARD: f64 = 2.0;
 
 /// Cameras between each camera and two of its nearest neighbours. They form a sequence without end, which fills the space
-/// between the cameras more and more densely.
+/// between the cameras more and more densely. Between cameras on a dome they stand on the dome, too.
 ///
 /// - `of`: positions in the sequence; neighbouring positions belong to different cameras
 /// - returns: nothing for fewer than two cameras, or if all face each other
@@ -31,15 +37,32 @@ pub fn cameras_between(cameras: &[Camera], of: Range<usize>) -> Vec<Camera> {
     let mix = |position: usize| {
         let [turn, i] = [position / cameras.len(), position % cameras.len()];
         let near = neighbors.get(i).filter(|near| !near.is_empty())?;
-        let corners = [i, near[turn % near.len()], near[(turn + 1) % near.len()]];
         let [u, v] = STEPS.map(|step| (step * (position + 1) as f64).fract());
         let [u, v] = if u + v > 1.0 { [1.0 - u, 1.0 - v] } else { [u, v] };
         let size = [cameras[i].width, cameras[i].height];
-        let numbers = corners.map(|j| numbers_of(&cameras[j].fitted(size[0], size[1])));
-        let mixed = std::array::from_fn(|k| (1.0 - u - v) * numbers[0][k] + u * numbers[1][k] + v * numbers[2][k]);
-        camera_of(&mixed, size).ok()
+        let corners = [i, near[turn % near.len()], near[(turn + 1) % near.len()]].map(|j| cameras[j].clone());
+        mixed(&corners, [1.0 - u - v, u, v], size)
     };
     of.filter_map(|position| if cameras.is_empty() { None } else { mix(position) }).collect()
+}
+
+/// The camera between three. Its distance from the point that they look at is their mean distance: without this, between
+/// cameras on a dome it would stand inside of the dome.
+fn mixed(cameras: &[Camera; 3], weights: [f64; 3], [width, height]: [usize; 2]) -> Option<Camera> {
+    let mean = |values: [f64; 3]| dot(values, weights);
+    let numbers = cameras.each_ref().map(|camera| numbers_of(&camera.fitted(width, height)));
+    let mut mixed = from_fn(|k| mean(numbers.map(|numbers| numbers[k])));
+    let center = [mixed[0], mixed[1], mixed[2]];
+    let focus = nearest_to_axes(cameras, PARALLEL, center);
+    let from = |center: [f64; 3]| -> [f64; 3] { from_fn(|k| center[k] - focus[k]) };
+    let distance = |center: [f64; 3]| dot(from(center), from(center)).sqrt();
+    let looks_at = |c: &Camera| dot(from(c.center()), c.forward()) < LOOKS_AT * distance(c.center());
+    if cameras.iter().all(looks_at) {
+        let outward = mean(cameras.each_ref().map(|camera| distance(camera.center()))) / distance(center);
+        let outward = outward.clamp(1.0, MAX_OUTWARD);
+        (0..3).for_each(|k| mixed[k] = focus[k] + outward * from(center)[k]);
+    }
+    camera_of(&mixed, [width, height]).ok()
 }
 
 /// The nearest cameras that do not face a camera, the nearest first.
@@ -53,4 +76,44 @@ fn neighbors(cameras: &[Camera], i: usize) -> Vec<usize> {
     others.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)));
     others.truncate(MAX_NEIGHBORS);
     others
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Cameras that look at one point.
+    fn ring(degrees: &[f64]) -> Vec<Camera> {
+        let camera = |degrees: &f64| {
+            let (sin, cos) = degrees.to_radians().sin_cos();
+            Camera::look_at([1.0 + 4.0 * sin, 2.0, 3.0 - 4.0 * cos], [1.0, 2.0, 3.0], [0.0, -1.0, 0.0], 50.0, 64, 48)
+        };
+        degrees.iter().map(camera).collect()
+    }
+
+    #[test]
+    fn between_cameras_on_a_ring_is_the_ring() {
+        let between = cameras_between(&ring(&[0.0, 50.0, 90.0]), 5..45);
+        assert_eq!(between.len(), 40);
+        for camera in between {
+            let out: [f64; 3] = from_fn(|k| camera.center()[k] - [1.0, 2.0, 3.0][k]);
+            assert!((dot(out, out).sqrt() - 4.0).abs() < 0.05, "{out:?}");
+            assert!(dot(out, camera.forward()) < -4.0 * 0.98, "{:?}", camera.forward());
+        }
+    }
+
+    #[test]
+    fn parallel_cameras_stay_in_their_plane() {
+        let plane: Vec<Camera> = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]
+            .map(|[x, y]| Camera::look_at([x, y, 0.0], [x, y, 1.0], [0.0, -1.0, 0.0], 50.0, 64, 48))
+            .into();
+        assert!(cameras_between(&plane, 0..40).iter().all(|camera| camera.center()[2].abs() < 1e-9));
+    }
+
+    #[test]
+    fn between_cameras_that_face_each_other_is_nothing() {
+        assert_eq!(cameras_between(&ring(&[0.0, 180.0]), 0..9), []);
+        assert_eq!(cameras_between(&ring(&[0.0]), 0..9), []);
+        assert_eq!(cameras_between(&[], 0..9), []);
+    }
 }

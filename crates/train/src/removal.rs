@@ -7,7 +7,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use tcgs_core::{Activated, Camera, Gaussians, Image, View, activate, cameras_between, seen_colors};
 use tcgs_metrics::psnr;
-use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings, settings::MAX_CHANNELS};
+use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings, blending_weights, settings::MAX_CHANNELS};
 
 use crate::parameters::corrected;
 use crate::unseen::are_in_images;
@@ -19,14 +19,14 @@ const PRECISION: usize = 128;
 const MOST_JUDGES: usize = 32;
 
 /// Pictures from between the cameras, of all timesteps together.
-const NUM_BETWEEN: usize = 48;
+const NUM_BETWEEN: usize = 128;
 
-/// Shorter side of a picture from between the cameras, pixels, at most about: such a picture only tells what shows.
-const SIDE_BETWEEN: usize = 90;
+/// Shorter side of the pictures that tell what shows, pixels, at least; below twice as much.
+const SMALL: usize = 90;
 
-/// How many times as much the removal of a Gaussian changes pictures from between as training images, from which on it is
-/// hidden from the training cameras alone.
-const HIDDEN: f32 = 10.0;
+/// How many times as large a Gaussian's share of a picture from between has to be as its share of any training image,
+/// so that it stays.
+const HIDDEN: f32 = 4.0;
 
 /// Without the statistic of densification.
 const SETTINGS: RenderSettings = RenderSettings { background: [0.0; MAX_CHANNELS], statistic_channels: 0 };
@@ -66,22 +66,24 @@ pub struct Removal<'a> {
 /// - returns: indices, ascending
 pub fn needed(timesteps: &[TimestepViews<'_>], removal: &Removal<'_>) -> Vec<usize> {
     let mut errors = vec![0.0; timesteps[0].gaussians.num_gaussians()];
-    let mut between = errors.clone();
+    // Of training images, and of pictures from between.
+    let mut largest = [errors.clone(), errors.clone()];
     let mut is_in_images = vec![false; errors.len()];
-    for (seed, timestep) in (removal.seed..).zip(timesteps) {
+    let num_between = NUM_BETWEEN.div_ceil(timesteps.len());
+    for (i, timestep) in timesteps.iter().enumerate() {
         let cameras: Vec<Camera> = timestep.views.iter().map(|view| view.camera.clone()).collect();
+        let of_timestep = removal_errors(timestep.gaussians, timestep.is_hidden, &cameras, removal.seed + i as u64);
+        errors.iter_mut().zip(of_timestep).for_each(|(sum, error)| *sum += error);
         let are_in = are_in_images(timestep.gaussians.means(), &cameras);
         is_in_images.iter_mut().zip(are_in).for_each(|(is_in_images, is_in)| *is_in_images |= is_in);
-        let others = between_views(&cameras, seed as usize % 1024, NUM_BETWEEN.div_ceil(timesteps.len()));
-        for (errors, cameras) in [(&mut errors, &cameras), (&mut between, &others)] {
-            let of_timestep = removal_errors(timestep.gaussians, timestep.is_hidden, cameras, seed);
-            // Of a pixel, because pictures from between are small.
-            let num_pixels: usize = cameras.iter().map(|camera| camera.width * camera.height).sum();
-            errors.iter_mut().zip(of_timestep).for_each(|(sum, error)| *sum += error / num_pixels as f32);
+        let between = cameras_between(&cameras, i * num_between..(i + 1) * num_between);
+        for (largest, cameras) in largest.iter_mut().zip([cameras, between]) {
+            raise_to_shares(largest, timestep, &cameras);
         }
     }
-    let mut order: Vec<usize> =
-        (0..errors.len()).filter(|&i| is_in_images[i] && between[i] <= HIDDEN * errors[i]).collect();
+    let [of_images, of_between] = largest;
+    let may_go = |&i: &usize| is_in_images[i] && of_between[i] <= HIDDEN * of_images[i];
+    let mut order: Vec<usize> = (0..errors.len()).filter(may_go).collect();
     if let Some(costs) = removal.costs {
         errors.iter_mut().zip(costs).for_each(|(error, cost)| *error /= cost);
     }
@@ -101,13 +103,16 @@ pub fn needed(timesteps: &[TimestepViews<'_>], removal: &Removal<'_>) -> Vec<usi
     (0..keeps.len()).filter(|&i| keeps[i]).collect()
 }
 
-/// Cameras of small pictures from between others.
-///
-/// - `turn`: other turns give others
-fn between_views(cameras: &[Camera], turn: usize, count: usize) -> Vec<Camera> {
-    let between = cameras_between(cameras, count * turn..count * (turn + 1));
-    let small = |camera: Camera| camera.downscaled((camera.width.min(camera.height) / SIDE_BETWEEN).max(1));
-    between.into_iter().map(small).collect()
+/// Raises each Gaussian's largest share of a picture to its shares of pictures of these cameras.
+fn raise_to_shares(largest: &mut [f32], timestep: &TimestepViews<'_>, cameras: &[Camera]) {
+    let small = |camera: &Camera| camera.downscaled((camera.width.min(camera.height) / SMALL).max(1));
+    let cameras: Vec<Camera> = cameras.iter().map(small).collect();
+    draw_all(timestep.gaussians, timestep.is_hidden, &cameras, |position, drawn| {
+        let camera = &cameras[position];
+        let equal = Image::filled(camera.width, camera.height, 1, 1.0 / (camera.width * camera.height) as f32);
+        let Ok(shares) = blending_weights(&CpuRasterizer, drawn, camera, &equal);
+        largest.iter_mut().zip(shares).for_each(|(largest, share)| *largest = largest.max(share));
+    });
 }
 
 /// Of so many views every how-many-th judges, for [`TimestepViews::error_without`].

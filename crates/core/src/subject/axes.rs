@@ -7,7 +7,7 @@ use crate::{Camera, Gaussians, Pinhole, dot, sigmoid};
 
 /// Weight of the guess from depths against the axes of the cameras. Axes that differ by less than 3 degrees leave the
 /// depth of their meeting point to the guess.
-const PARALLEL: f64 = 0.003;
+pub(crate) const PARALLEL: f64 = 0.003;
 /// The same weight if the axes alone decide, so that exactly parallel axes still have a solution.
 const NO_WEIGHT: f64 = 1e-9;
 /// Most cameras and Gaussians used for the guess of depths.
@@ -26,9 +26,21 @@ pub(super) fn meeting_point(gaussians: &Gaussians, cameras: &[Camera]) -> [f64; 
     let depth = depth_seen(gaussians, cameras);
     let (center, forward) = (mean(&Camera::center), mean(&Camera::forward));
     let guess: [f64; 3] = from_fn(|axis| center[axis] + depth * forward[axis]);
-    // A camera adds the projection across its axis, `I - d dᵀ`.
+    let drawn = |weight| nearest_to_axes(cameras, weight, guess);
+    let meeting = drawn(NO_WEIGHT);
+    let is_before = |camera: &&Camera| dot(camera.forward(), super::from_camera(camera, meeting)) > 0.0;
+    if 2 * cameras.iter().filter(is_before).count() >= cameras.len() { drawn(PARALLEL) } else { guess }
+}
+
+/// The point nearest to all axes of the cameras, in least squares.
+///
+/// - `weight`: of the guess, against 1 of all axes together; above 0, because axes may be parallel
+pub(crate) fn nearest_to_axes(cameras: &[Camera], weight: f64, guess: [f64; 3]) -> [f64; 3] {
+    let count = cameras.len() as f64;
     let mut matrix = [[0.0; 3]; 3];
-    let mut right = [0.0; 3];
+    let mut right = guess.map(|x| weight * x);
+    (0..3).for_each(|i| matrix[i][i] = weight);
+    // A camera adds the projection across its axis, `I - d dᵀ`.
     for camera in cameras {
         let (direction, center) = (camera.forward(), camera.center());
         for i in 0..3 {
@@ -39,13 +51,7 @@ pub(super) fn meeting_point(gaussians: &Gaussians, cameras: &[Camera]) -> [f64; 
             }
         }
     }
-    let drawn = |weight: f64| {
-        let matrix = from_fn(|i| from_fn(|j| matrix[i][j] + if i == j { weight } else { 0.0 }));
-        solved(matrix, from_fn(|i| right[i] + weight * guess[i]))
-    };
-    let meeting = drawn(NO_WEIGHT);
-    let is_before = |camera: &&Camera| dot(camera.forward(), super::from_camera(camera, meeting)) > 0.0;
-    if 2 * cameras.iter().filter(is_before).count() >= cameras.len() { drawn(PARALLEL) } else { guess }
+    solved(matrix, right)
 }
 
 /// Median depth of the Gaussians in the middle half of the cameras' pictures, scene units; 1 if there are none. The

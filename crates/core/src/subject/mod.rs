@@ -6,6 +6,7 @@ mod axes;
 mod shown;
 
 use self::axes::meeting_point;
+pub(crate) use self::axes::{PARALLEL, nearest_to_axes};
 use crate::{Camera, Extent, Gaussians, dot, sigmoid};
 
 /// A Gaussian moves if its motion exceeds this many times the median of all, which is the jitter of training.
