@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use crate::camera_path::{camera_of, numbers_of};
-use crate::{Camera, dot};
+use crate::{Camera, dot, squared_distance};
 
 /// Least cosine of the angle between the directions of neighbours. Half-way between cameras that face each other is the
 /// subject.
@@ -44,10 +44,7 @@ pub fn cameras_between(cameras: &[Camera], of: Range<usize>) -> Vec<Camera> {
 
 /// The nearest cameras that do not face a camera, the nearest first.
 fn neighbors(cameras: &[Camera], i: usize) -> Vec<usize> {
-    let distance = |j: usize| -> f64 {
-        let (a, b) = (cameras[i].center(), cameras[j].center());
-        (0..3).map(|c| (a[c] - b[c]).powi(2)).sum()
-    };
+    let distance = |j: usize| squared_distance(cameras[i].center(), cameras[j].center());
     let is_neighbor = |&j: &usize| j != i && dot(cameras[i].forward(), cameras[j].forward()) >= LEAST_COSINE;
     let mut others: Vec<usize> = (0..cameras.len()).filter(is_neighbor).collect();
     others.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)));

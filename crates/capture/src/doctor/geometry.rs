@@ -2,7 +2,7 @@
 //! which the points would fall on pixels of their colours. A hypothesis that fits clearly better is the finding.
 
 use rayon::prelude::*;
-use tcgs_core::{Camera, Pinhole, View};
+use tcgs_core::{Camera, Pinhole, View, distance};
 
 use super::splat::{Drawing, MIN_COVERAGE, Splats, smoothness};
 use super::{Finding, FindingKind, Names};
@@ -231,7 +231,6 @@ fn fisher(correlation: f64) -> f64 {
 }
 
 fn is_apart(views: &[View], i: usize, j: usize) -> bool {
-    let distance = |a: [f64; 3], b: [f64; 3]| (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>().sqrt();
     let centers: Vec<[f64; 3]> = views.iter().map(|view| view.camera.center()).collect();
     let size = centers.iter().map(|&center| distance(center, centers[0])).fold(0.0, f64::max);
     distance(centers[i], centers[j]) > MIN_APART * size

@@ -4,9 +4,9 @@
 //! Synthesis", §6). Observations have the weights of Cauchy's loss. Gaussian priors hold the cameras near their given
 //! poses.
 
-use tcgs_core::dot;
+use tcgs_core::{distance, dot};
 
-use super::camera::{K1, LOG_FOCAL, PARAMETERS, RigCamera, distance, median};
+use super::camera::{K1, LOG_FOCAL, PARAMETERS, RigCamera, median};
 use super::normal::{Slopes, System, inverse};
 
 /// One point of the scene at one moment, and its observations.

@@ -3,10 +3,10 @@
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use tcgs_core::{dot, normalize};
+use tcgs_core::{add_scaled, cross, distance, dot, normalize};
 
 use super::bundle::{self, Freedom, Track};
-use super::camera::{RigCamera, cross, median, minus};
+use super::camera::{RigCamera, median};
 use super::frames::{Frames, moments};
 use super::model::{Found, to_text};
 use super::program::{Colmap, image_name};
@@ -187,10 +187,7 @@ fn upright(cameras: &[RigCamera], tracks: &[Track]) -> Similarity {
     };
     let down = normalize(sum(1));
     let ahead = [sum(2), cameras[0].forward(), [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]];
-    let level = |v: [f64; 3]| {
-        let along = dot(v, down);
-        minus(v, down.map(|x| along * x))
-    };
+    let level = |v: [f64; 3]| add_scaled(v, -dot(v, down), down);
     // The mean direction of cameras all around is nearly zero.
     let forward = ahead.map(level).into_iter().find(|v| dot(*v, *v) > 0.01).unwrap_or([0.0, 0.0, 1.0]);
     let forward = normalize(forward);
@@ -217,7 +214,7 @@ pub fn scale_cameras(description: &mut CaptureDescription, cameras: [&str; 2], m
             format!("has no camera {name}, expected one of {}", names.join(", "))
         })
     };
-    let apart = super::camera::distance(center(cameras[0])?, center(cameras[1])?);
+    let apart = distance(center(cameras[0])?, center(cameras[1])?);
     if apart < 1e-9 {
         return Err(format!("has {} and {} at one place, expected two that are apart", cameras[0], cameras[1]));
     }

@@ -4,9 +4,9 @@ use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use tcgs_core::{Camera, Pinhole, dot};
+use tcgs_core::{Camera, Pinhole, distance, dot};
 
-use super::camera::{PARAMETERS, RigCamera, distance};
+use super::camera::{PARAMETERS, RigCamera};
 use super::matches::{self, Shot};
 use super::meant;
 use super::refine;

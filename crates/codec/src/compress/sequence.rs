@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use std::collections::hash_map::DefaultHasher;
 use std::hash::Hasher;
 
-use tcgs_core::{Attribute, DynamicGaussians, Gaussians, SceneReader, dot, normalize};
+use tcgs_core::{Attribute, DynamicGaussians, Gaussians, SceneReader, distance, dot, normalize};
 
 use super::statistics::read_one;
 use crate::compact::MAX_TIMESTEPS;
@@ -210,8 +210,7 @@ fn cost(before: &Gaussians, b: usize, now: &Gaussians, n: usize) -> Option<f32> 
     scales.sort_unstable_by(f32::total_cmp);
     let unit = scales[1].exp().max(f32::MIN_POSITIVE);
     let largest = |a: [f32; 3], b: [f32; 3]| (0..3).map(|i| (a[i] - b[i]).abs()).fold(0.0, f32::max);
-    let [p, q] = [before.means()[b], now.means()[n]];
-    let distance = (0..3).map(|i| (p[i] - q[i]).powi(2)).sum::<f32>().sqrt() / unit;
+    let distance = distance(before.means()[b], now.means()[n]) / unit;
     let scale = largest(before.log_scales()[b], now.log_scales()[n]);
     let logit = (before.logit_opacities()[b] - now.logit_opacities()[n]).abs();
     let color = largest(before.colors()[b], now.colors()[n]);

@@ -13,7 +13,7 @@ use std::num::NonZero;
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
-use tcgs_core::{Camera, Image, Pinhole, dot};
+use tcgs_core::{Camera, Image, Pinhole, add_scaled, dot, squared_distance};
 
 use super::median;
 
@@ -358,7 +358,7 @@ impl Comparison<'_> {
         for _ in 0..STEPS {
             let from = at;
             for direction in DIRECTIONS {
-                at = compare(std::array::from_fn(|a| from[a] + step * direction[a]));
+                at = compare(add_scaled(from, step, direction));
             }
             if at == from {
                 step *= 0.5;
@@ -372,10 +372,6 @@ impl Comparison<'_> {
 /// Mean absolute difference of two colours.
 fn difference(a: [f32; 3], b: [f32; 3]) -> f32 {
     (0..3).map(|c| (a[c] - b[c]).abs()).sum::<f32>() / 3.0
-}
-
-fn squared_distance(a: [f32; 3], b: [f32; 3]) -> f32 {
-    (0..3).map(|i| (a[i] - b[i]).powi(2)).sum()
 }
 
 /// Groups by position, foreground and background apart.

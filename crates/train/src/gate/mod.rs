@@ -23,7 +23,7 @@ mod nursery;
 mod pace;
 
 use rayon::prelude::*;
-use tcgs_core::{Activated, Camera, Image, View};
+use tcgs_core::{Activated, Camera, Image, View, distance};
 use tcgs_render::{CpuRasterizer, Laps, RenderSettings, TileMask, tiles_reached};
 
 pub use self::activity::Trained;
@@ -277,8 +277,7 @@ impl Gate {
         let p = &state.parameters;
         let (means, log_scales) = (p.gaussians.means(), p.gaussians.log_scales());
         let is_away = |i: usize| {
-            let distance = (0..3).map(|axis| (means[i][axis] - past.first.means[i][axis]).powi(2)).sum::<f32>().sqrt();
-            distance > log_scales[i].into_iter().fold(f32::MIN, f32::max).exp()
+            distance(means[i], past.first.means[i]) > log_scales[i].into_iter().fold(f32::MIN, f32::max).exp()
         };
         let is_masked = |i: usize| self.mask.enabled && mask(p.mask_logits[i], self.mask.threshold) == 0.0;
         let is_due = |&i: &usize| timestep.checked_sub(self.record.unseen[i] as usize).is_some_and(|t| t >= patience);
