@@ -21,6 +21,7 @@ mod file;
 mod harmonics;
 mod image;
 mod layout;
+mod median;
 mod natural_key;
 mod parallel;
 mod printable;
@@ -46,6 +47,7 @@ pub use file::{open_file, read_file, read_text};
 pub use harmonics::{HARMONIC_0, MAX_SH_DEGREE, color_in_direction, color_in_direction_vjp, harmonics, harmonics_vjp};
 pub use image::Image;
 pub use layout::{Activation, Column, Layout, RateGroup};
+pub use median::upper_median;
 pub use natural_key::natural_key;
 pub use printable::printable;
 pub use quat::{

@@ -3,7 +3,7 @@
 //! A few masks may disagree: segmentations lose hands and shoes.
 
 use rayon::prelude::*;
-use tcgs_core::{Pinhole, distance};
+use tcgs_core::{Pinhole, distance, upper_median};
 
 /// A mask and its camera.
 pub(crate) struct Silhouette<'a> {
@@ -156,9 +156,8 @@ fn focus(pinholes: &[&Pinhole<f32>]) -> Option<([f32; 3], f32)> {
         }
     }
     let focus = super::solve(rows)?.map(|x| x as f32);
-    let mut distances: Vec<f32> = pinholes.iter().map(|pinhole| distance(pinhole.center, focus)).collect();
-    distances.sort_by(f32::total_cmp);
-    Some((focus, 1.2 * distances[distances.len() / 2]))
+    let typical = upper_median(pinholes.iter().map(|pinhole| distance(pinhole.center, focus)))?;
+    Some((focus, 1.2 * typical))
 }
 
 /// A mask as a summed-area table.

@@ -120,12 +120,3 @@ impl RigCamera {
         self
     }
 }
-
-/// The median; 0 without values.
-pub(crate) fn median(mut values: Vec<f64>) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
-}

@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, Split};
-use tcgs_core::{Camera, add_scaled, distance, dot, length, normalize, upright_axes};
+use tcgs_core::{Camera, add_scaled, distance, dot, length, normalize, upper_median, upright_axes};
 
 use crate::pictures::jpeg_uri;
 use crate::progress::Progress;
@@ -77,7 +77,7 @@ impl Rig {
                 let is_inside = (0.0..camera.width as f64).contains(&x) && (0.0..camera.height as f64).contains(&y);
                 is_inside.then_some(depth)
             });
-            median(seen.collect()).unwrap_or(spread.max(1e-3))
+            upper_median(seen).unwrap_or(spread.max(1e-3))
         };
         let ahead = |camera: &Camera| add_scaled(camera.center(), usual_depth(camera), camera.forward());
         let [from, to] = [mean(centers.iter().copied()), mean(cameras.iter().map(ahead))];
@@ -88,7 +88,7 @@ impl Rig {
             let others = centers.iter().enumerate().filter(|&(j, _)| j != i);
             others.map(|(_, &b)| distance(a, b)).reduce(f64::min)
         };
-        let apart = median(centers.iter().enumerate().filter_map(nearest).collect()).unwrap_or(radius);
+        let apart = upper_median(centers.iter().enumerate().filter_map(nearest)).unwrap_or(radius);
         let [least, most] = DEPTH_OF_RIG.map(|share| share * radius);
         Ok(Self { depth: (DEPTH * apart).clamp(least, most), overview: overview(cameras, middle, radius) })
     }
@@ -112,11 +112,6 @@ fn mean(places: impl Iterator<Item = [f64; 3]>) -> [f64; 3] {
         (sum, count) = (add_scaled(sum, 1.0, place), count + 1.0);
     }
     sum.map(|x| x / count.max(1.0))
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use super::upright_axes;
-use crate::{Camera, CameraPath, Subject, add_scaled, distance, dot, length, sub};
+use crate::{Camera, CameraPath, Subject, add_scaled, distance, dot, length, sub, upper_median};
 
 /// Cameras with a larger gap between two neighbours form an arc, not a ring, radians: 100 degrees.
 const MAX_GAP: f64 = 100.0 / 360.0 * TAU;
@@ -181,10 +181,8 @@ impl Rig {
         let lacking = (MIN_ARC - (ends[1] - ends[0])).max(0.0) / 2.0;
         let first = order.iter().position(|&camera| camera == 0).map_or(0.0, |place| self.places[place].angle);
         let focal = std::array::from_fn(|i| {
-            let mut focal: Vec<f64> =
-                cameras.iter().map(|camera| camera.fitted(self.size[0], self.size[1]).focal[i]).collect();
-            focal.sort_by(f64::total_cmp);
-            focal[focal.len() / 2]
+            let focal = cameras.iter().map(|camera| camera.fitted(self.size[0], self.size[1]).focal[i]);
+            upper_median(focal).unwrap_or_default()
         });
         Course::Average { arc: [ends[0] - lacking, ends[1] + lacking], start: first, focal }
     }

@@ -11,7 +11,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use tcgs_core::{DynamicGaussians, Gaussians, Layout, SceneReader, distance, natural_key, sub};
+use tcgs_core::{DynamicGaussians, Gaussians, Layout, SceneReader, distance, natural_key, sub, upper_median};
 
 use crate::gaussian_file::{FileKind, read_and_count, read_head};
 use crate::notes::ReplacedByTimestep;
@@ -291,18 +291,13 @@ fn first_frame(files: &[PathBuf]) -> Option<u32> {
 ///
 /// - `before`, `after`: `[N, 3]`, `N >= 1`
 fn jump(before: &[[f32; 3]], after: &[[f32; 3]]) -> f32 {
-    let axis = |points: &[[f32; 3]], axis: usize| median(points.iter().map(|p| p[axis]).collect());
+    let axis = |points: &[[f32; 3]], axis: usize| upper_median(points.iter().map(|p| p[axis])).unwrap_or_default();
     let steps: Vec<[f32; 3]> = before.iter().zip(after).map(|(&a, &b)| sub(b, a)).collect();
     let (middle, common) = ([0, 1, 2].map(|c| axis(before, c)), [0, 1, 2].map(|c| axis(&steps, c)));
-    let size = median(before.iter().map(|&p| distance(p, middle)).collect());
-    let step = median(steps.iter().map(|&step| distance(step, common)).collect());
+    let size = upper_median(before.iter().map(|&p| distance(p, middle))).unwrap_or_default();
+    let step = upper_median(steps.iter().map(|&step| distance(step, common))).unwrap_or_default();
     // A scene without extent has no order to lose.
     if size > 0.0 { step / size } else { 0.0 }
-}
-
-fn median(mut values: Vec<f32>) -> f32 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f32::total_cmp).1
 }
 
 #[cfg(test)]

@@ -23,12 +23,12 @@ mod nursery;
 mod pace;
 
 use rayon::prelude::*;
-use tcgs_core::{Activated, Camera, Image, View, distance};
+use tcgs_core::{Activated, Camera, Image, View, distance, upper_median};
 use tcgs_render::{CpuRasterizer, Laps, RenderSettings, TileMask, tiles_reached};
 
 pub use self::activity::Trained;
 pub(crate) use self::activity::{Activity, Shares};
-pub(crate) use self::evidence::{Blocks, median};
+pub(crate) use self::evidence::Blocks;
 use self::evidence::{changed_blocks, differences, noise_level, tile_errors, tiles_of};
 use self::matches::{Matches, Mover};
 pub(crate) use self::nursery::Nursery;
@@ -162,7 +162,7 @@ impl Gate {
                     estimates.push(noise_level(&differences, config.noise));
                     let too_many = estimates.len().saturating_sub(NOISE_ESTIMATES);
                     estimates.drain(..too_many);
-                    let level = median(estimates);
+                    let level = upper_median(estimates.iter().copied()).unwrap_or_default();
                     let (width, height) = (target.image.width, target.image.height);
                     let mut blocks = changed_blocks(&differences, level + config.contrast, width, height);
                     let limit = config.growth + GROWTH_NOISE * level;
@@ -249,7 +249,7 @@ impl Gate {
             let seen = p.seen_by_camera(i, memory.pictures[i].clone());
             let mut blocks = Blocks::none(width, height);
             let differences = differences(&seen, &view.image);
-            let level = median(&self.record.noise[i]) + contrast;
+            let level = upper_median(self.record.noise[i].iter().copied()).unwrap_or_default() + contrast;
             for (index, difference) in differences.into_iter().enumerate() {
                 let tile = activity.tiles[i].of_pixel(blocks.pixel(index));
                 let limit = UNEXPLAINED_GROWTH * self.record.errors[i][tile] + level;
