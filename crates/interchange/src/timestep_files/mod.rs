@@ -168,13 +168,9 @@ impl TimestepFiles {
         self.first_frame
     }
 
-    /// Size as plain 32-bit floats. Where the number of Gaussians changes every timestep holds all columns; else as
-    /// [`Layout::raw_bytes`].
+    /// Size as plain 32-bit floats ([`Layout::raw_bytes_of_changing`]).
     pub fn raw_bytes(&self) -> u64 {
-        if self.has_constant_number() {
-            return self.layout.raw_bytes(self.num_gaussians(), self.num_timesteps());
-        }
-        self.layout.raw_bytes_of_changing(self.numbers.iter().copied())
+        self.layout.raw_bytes_of_changing(&self.numbers)
     }
 
     /// The Gaussians of one file, in its order.
