@@ -105,7 +105,7 @@ pub fn refine_cameras(
         return Ok(None);
     }
     let mut first = tracks(&before, &shots, BANDS[0]);
-    let meant = meant::meant(&before, &first[0], &shots[0], BANDS[0]);
+    let meant = meant::find(&before, &first[0], &shots[0], BANDS[0]);
     let mended = meant.map(|(cameras, words)| {
         first = tracks(&cameras, &shots, BANDS[0]);
         before = cameras;
