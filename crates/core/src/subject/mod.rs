@@ -78,8 +78,8 @@ impl Subject {
         match moving {
             Some((center, radius)) if cameras.is_empty() => {
                 let of_scene = DISTANCE * extent.radius.max(MIN_RADIUS);
-                let before =
-                    quantile(gaussians.means().iter().map(|mean| (distance(mean.map(f64::from), center), 1.0)), BEFORE);
+                let distances = gaussians.means().iter().map(|mean| (distance(mean.map(f64::from), center), 1.0));
+                let before = quantile(distances, BEFORE);
                 Self { center, radius, distance: (DISTANCE_OF_MOVING * radius).max(before).min(of_scene) }
             }
             Some((center, radius)) => Self { center, radius, distance: distance_of(cameras, center) },
@@ -127,14 +127,11 @@ fn moving(gaussians: &Gaussians, moved: &[f32]) -> Option<([f64; 3], f64)> {
         return None;
     }
     let rows = gaussians.means().iter().zip(moved).zip(&opacity).filter(|((_, moved), _)| f64::from(**moved) > least);
-    let weighted: Vec<([f32; 3], f64)> =
-        rows.map(|((mean, moved), opacity)| (*mean, opacity * f64::from(*moved).min(fast))).collect();
-    let along = |axis: usize, share| quantile(weighted.iter().map(|(mean, w)| (f64::from(mean[axis]), *w)), share);
+    let weighted: Vec<([f64; 3], f64)> =
+        rows.map(|((mean, moved), opacity)| (mean.map(f64::from), opacity * f64::from(*moved).min(fast))).collect();
+    let along = |axis: usize, share| quantile(weighted.iter().map(|(mean, weight)| (mean[axis], *weight)), share);
     let center = std::array::from_fn(|axis| 0.5 * (along(axis, MIDDLE[0]) + along(axis, MIDDLE[1])));
-    Some((
-        center,
-        quantile(weighted.iter().map(|&(mean, weight)| (distance(mean.map(f64::from), center), weight)), WITHIN),
-    ))
+    Some((center, quantile(weighted.iter().map(|&(mean, weight)| (distance(mean, center), weight)), WITHIN)))
 }
 
 /// Whether a point lies in a camera's picture.
