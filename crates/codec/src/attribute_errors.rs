@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use tcgs_core::{Activation, Attribute, Column, Gaussians, Layout, SceneReader, dot, normalize};
+use tcgs_core::{Activation, Attribute, Column, Gaussians, Layout, SceneReader, distance, normalize};
 
 use crate::compact::{CompactScene, unit_quat};
 use crate::error::CompressError;
@@ -63,11 +63,7 @@ fn angle(original: &[f32], decoded: &[f32]) -> f64 {
         if quat.iter().all(|x| x.is_finite()) { normalize(unit_quat(quat).map(f64::from)) } else { [f64::NAN; 4] }
     };
     let (p, q) = (unit(original), unit(decoded));
-    let length = |sign: f64| {
-        let sum: [f64; 4] = std::array::from_fn(|i| p[i] + sign * q[i]);
-        dot(sum, sum).sqrt()
-    };
-    let (apart, together) = (length(-1.0), length(1.0));
+    let (apart, together) = (distance(p, q), distance(p, q.map(|x| -x)));
     if apart <= together { 4.0 * apart.atan2(together) } else { 4.0 * together.atan2(apart) }
 }
 

@@ -3,7 +3,7 @@
 
 use serde::Deserialize;
 use serde_json::{Value, json};
-use tcgs_core::{Camera, normalize, rotmat_from_quat};
+use tcgs_core::{Camera, length, normalize, rotmat_from_quat};
 
 /// Name of the application data with cameras.
 pub const VIEWS: &str = "tcgs.views";
@@ -78,9 +78,8 @@ pub fn read_views(data: &[(String, Vec<u8>)]) -> Vec<FileCamera> {
 
 impl View {
     fn camera(self) -> Option<FileCamera> {
-        let length = self.rotation.iter().map(|x| x * x).sum::<f64>().sqrt();
         // The comparisons are false for NaN, too.
-        let is_unit = (length - 1.0).abs() <= MAX_LENGTH_ERROR;
+        let is_unit = (length(self.rotation) - 1.0).abs() <= MAX_LENGTH_ERROR;
         if !is_unit || self.width > MAX_SIDE || self.height > MAX_SIDE {
             return None;
         }

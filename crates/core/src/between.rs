@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use crate::camera_path::{camera_of, numbers_of};
 use crate::subject::{PARALLEL, nearest_to_axes};
-use crate::{Camera, dot};
+use crate::{Camera, add_scaled, distance, dot, squared_distance, sub};
 
 /// Least cosine of the angle between the directions of neighbours. Half-way between cameras that face each other is the
 /// subject.
@@ -54,23 +54,18 @@ fn mixed(cameras: &[Camera; 3], weights: [f64; 3], [width, height]: [usize; 2]) 
     let mut mixed = from_fn(|k| mean(numbers.map(|numbers| numbers[k])));
     let center = [mixed[0], mixed[1], mixed[2]];
     let focus = nearest_to_axes(cameras, PARALLEL, center);
-    let from = |center: [f64; 3]| -> [f64; 3] { from_fn(|k| center[k] - focus[k]) };
-    let distance = |center: [f64; 3]| dot(from(center), from(center)).sqrt();
-    let looks_at = |c: &Camera| dot(from(c.center()), c.forward()) < LOOKS_AT * distance(c.center());
+    let looks_at = |c: &Camera| dot(sub(c.center(), focus), c.forward()) < LOOKS_AT * distance(c.center(), focus);
     if cameras.iter().all(looks_at) {
-        let outward = mean(cameras.each_ref().map(|camera| distance(camera.center()))) / distance(center);
-        let outward = outward.clamp(1.0, MAX_OUTWARD);
-        (0..3).for_each(|k| mixed[k] = focus[k] + outward * from(center)[k]);
+        let outward = mean(cameras.each_ref().map(|c| distance(c.center(), focus))) / distance(center, focus);
+        let moved = add_scaled(focus, outward.clamp(1.0, MAX_OUTWARD), sub(center, focus));
+        mixed[..3].copy_from_slice(&moved);
     }
     camera_of(&mixed, [width, height]).ok()
 }
 
 /// The nearest cameras that do not face a camera, the nearest first.
 fn neighbors(cameras: &[Camera], i: usize) -> Vec<usize> {
-    let distance = |j: usize| -> f64 {
-        let (a, b) = (cameras[i].center(), cameras[j].center());
-        (0..3).map(|c| (a[c] - b[c]).powi(2)).sum()
-    };
+    let distance = |j: usize| squared_distance(cameras[i].center(), cameras[j].center());
     let is_neighbor = |&j: &usize| j != i && dot(cameras[i].forward(), cameras[j].forward()) >= LEAST_COSINE;
     let mut others: Vec<usize> = (0..cameras.len()).filter(is_neighbor).collect();
     others.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)));
@@ -81,6 +76,7 @@ fn neighbors(cameras: &[Camera], i: usize) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::length;
 
     /// Cameras that look at one point.
     fn ring(degrees: &[f64]) -> Vec<Camera> {
@@ -96,8 +92,8 @@ mod tests {
         let between = cameras_between(&ring(&[0.0, 50.0, 90.0]), 5..45);
         assert_eq!(between.len(), 40);
         for camera in between {
-            let out: [f64; 3] = from_fn(|k| camera.center()[k] - [1.0, 2.0, 3.0][k]);
-            assert!((dot(out, out).sqrt() - 4.0).abs() < 0.05, "{out:?}");
+            let out = sub(camera.center(), [1.0, 2.0, 3.0]);
+            assert!((length(out) - 4.0).abs() < 0.05, "{out:?}");
             assert!(dot(out, camera.forward()) < -4.0 * 0.98, "{:?}", camera.forward());
         }
     }

@@ -4,7 +4,7 @@
 //! loops over many points. What does not: `tcgs-render` projects Gaussians and computes the gradient, and
 //! `tcgs-capture` handles lens distortion.
 
-use crate::{Real, dot};
+use crate::{Real, add_scaled, cross, dot, normalize, sub};
 
 /// A pinhole camera without distortion. Camera space: x right, y down, z forward; pixel centres at +0.5.
 #[derive(Clone, Debug, PartialEq)]
@@ -199,11 +199,8 @@ impl Camera {
         width: usize,
         height: usize,
     ) -> Self {
-        let cross = |a: [f64; 3], b: [f64; 3]| {
-            [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-        };
-        let z = crate::normalize(std::array::from_fn(|i| target[i] - center[i]));
-        let x = crate::normalize(cross(z, up));
+        let z = normalize(sub(target, center));
+        let x = normalize(cross(z, up));
         let y = cross(z, x);
         let row = |axis: [f64; 3]| [axis[0], axis[1], axis[2], -dot(axis, center)];
         Self {
@@ -310,8 +307,7 @@ impl<R: Real> Pinhole<R> {
     /// - `place`: `x, y`, pixels; pixel centres at +0.5
     /// - `depth`: along [`forward`](Self::forward), scene units
     pub fn unproject(&self, place: [R; 2], depth: R) -> [R; 3] {
-        let ray = self.ray(place);
-        std::array::from_fn(|i| self.center[i] + depth * ray[i])
+        add_scaled(self.center, depth, self.ray(place))
     }
 
     /// The centre `x, y` of a pixel.

@@ -1,6 +1,6 @@
 //! Cameras placed at some timesteps, and the smooth motion between them.
 
-use crate::{Camera, CameraError, dot, normalize};
+use crate::{Camera, CameraError, cross, dot, normalize};
 
 /// Keyframes by increasing timestep, and the cameras between them.
 ///
@@ -170,8 +170,6 @@ pub(crate) fn numbers_of(camera: &Camera) -> [f64; NUMBERS] {
 /// The camera of [`numbers_of`], whose axes need not be orthonormal.
 pub(crate) fn camera_of(numbers: &[f64; NUMBERS], [width, height]: [usize; 2]) -> Result<Camera, CameraError> {
     let vector = |first: usize| [numbers[first], numbers[first + 1], numbers[first + 2]];
-    let cross =
-        |a: [f64; 3], b: [f64; 3]| [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
     let (center, z) = (vector(0), normalize(vector(3)));
     let x = normalize(cross(vector(6), z));
     let y = cross(z, x);

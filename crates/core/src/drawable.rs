@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::parallel::map;
-use crate::{Activated, Camera, Gaussians, activate, color_in_direction, dot};
+use crate::{Activated, Camera, Gaussians, activate, color_in_direction, length, sub};
 
 /// One timestep, activated once. With spherical harmonics each camera sees its own colours; without them all see the
 /// same.
@@ -59,8 +59,8 @@ impl Drawable {
     /// Colour of Gaussian `i` as seen from a position in the world.
     fn color(&self, i: usize, position: [f64; 3]) -> [f32; 3] {
         let (mean, color) = (self.activated.means[i], &self.activated.colors[3 * i..3 * i + 3]);
-        let offset: [f64; 3] = std::array::from_fn(|axis| f64::from(mean[axis]) - position[axis]);
-        let distance = dot(offset, offset).sqrt();
+        let offset = sub(mean.map(f64::from), position);
+        let distance = length(offset);
         // A Gaussian around the camera has no direction; it is nearer than any drawn one.
         let direction = if distance > 0.0 { offset.map(|x| x / distance) } else { [0.0; 3] };
         let mut sh = Vec::new();
@@ -77,7 +77,7 @@ impl Drawable {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{BaseColumns, Layout, harmonics};
+    use crate::{BaseColumns, Layout, harmonics, normalize};
 
     fn camera(position: [f64; 3]) -> Camera {
         Camera::look_at(position, [0.0, 0.1, 0.0], [0.0, -1.0, 0.0], 50.0, 64, 48)
@@ -108,9 +108,7 @@ mod tests {
         assert_eq!((&seen.means, &seen.quats, &seen.scales), (&plain.means, &plain.quats, &plain.scales));
         assert_eq!(seen.opacities, plain.opacities);
         for i in 0..2 {
-            let offset: [f64; 3] = std::array::from_fn(|a| f64::from(gaussians.means()[i][a]) - position[a]);
-            let length = offset.iter().map(|x| x * x).sum::<f64>().sqrt();
-            let values = harmonics(offset.map(|x| x / length));
+            let values = harmonics(normalize(sub(gaussians.means()[i].map(f64::from), position)));
             for channel in 0..3 {
                 let mut sum = f64::from(gaussians.colors()[i][channel]);
                 for l in 1..=3_usize {

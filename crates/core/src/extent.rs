@@ -1,5 +1,7 @@
 //! The extent of the bulk of a scene.
 
+use crate::distance;
+
 /// Share of the Gaussians whose centres lie within [`Extent::radius`]: a few Gaussians far away do not matter.
 const WITHIN: f64 = 0.75;
 
@@ -27,8 +29,7 @@ impl Extent {
     /// - `means`: `[N, 3]`, finite
     pub fn of(means: &[[f32; 3]]) -> Self {
         let center: [f64; 3] = std::array::from_fn(|axis| quantile(means.iter().map(|m| f64::from(m[axis])), 0.5));
-        let distance = |m: &[f32; 3]| (0..3).map(|i| (f64::from(m[i]) - center[i]).powi(2)).sum::<f64>().sqrt();
-        Self { center, radius: quantile(means.iter().map(distance), WITHIN) }
+        Self { center, radius: quantile(means.iter().map(|m| distance(m.map(f64::from), center)), WITHIN) }
     }
 }
 

@@ -159,16 +159,12 @@ mod tests {
     use std::f64::consts::PI;
 
     use super::*;
-
-    fn unit(v: [f64; 3]) -> [f64; 3] {
-        let length = dot(v, v).sqrt();
-        v.map(|x| x / length)
-    }
+    use crate::normalize;
 
     fn some_directions() -> Vec<[f64; 3]> {
         let axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]];
         let others = [[1.0, 2.0, 3.0], [-2.0, 0.5, -1.0], [0.3, -0.4, 0.5], [-1.0, -1.0, 0.1]];
-        axes.into_iter().chain(others).map(unit).collect()
+        axes.into_iter().chain(others).map(normalize).collect()
     }
 
     /// Legendre polynomial `P_l^m`, `0 <= m <= l`, with the phase of Condon and Shortley, by its recurrence.
@@ -290,7 +286,7 @@ mod tests {
     #[test]
     fn they_are_those_of_gsplat() {
         for (direction, expected) in OF_GSPLAT {
-            let found = harmonics(unit(direction));
+            let found = harmonics(normalize(direction));
             for (i, (found, expected)) in found.into_iter().zip(expected).enumerate() {
                 assert!((found - expected).abs() < 1e-12, "{direction:?}, {i}: {found} against {expected}");
             }
@@ -334,7 +330,7 @@ mod tests {
         }
 
         // A colour: green is clamped here.
-        let direction = unit([0.3, -0.4, 0.5]);
+        let direction = normalize([0.3, -0.4, 0.5]);
         let sh: Vec<[f64; 3]> = (0..15).map(|i| [0, 1, 2].map(|c| 0.2 * (f64::from(3 * i + c) + 0.5).sin())).collect();
         let (color, v_seen) = ([0.5, -3.0, 0.7], [0.3, -0.8, 1.1]);
         let loss = |color, sh: &[[f64; 3]], direction| dot(color_in_direction(color, sh, direction), v_seen);

@@ -259,17 +259,21 @@ impl Layout {
         num_gaussians as u64 * per_gaussian as u64
     }
 
-    /// Size as plain 32-bit floats of a scene in which the number of Gaussians changes. Every timestep has all columns,
-    /// because Gaussians of different timesteps are not known to be the same.
+    /// [`Self::raw_bytes`] of a scene in which the number of Gaussians may change. Where it does every timestep has all
+    /// columns, because Gaussians of different timesteps are not known to be the same.
     ///
     /// - `num_gaussians`: at every timestep
     ///
     /// ```
-    /// assert_eq!(tcgs_core::Layout::base().raw_bytes_of_changing([10, 12]), (10 + 12) * 56);
+    /// let layout = tcgs_core::Layout::base();
+    /// assert_eq!(layout.raw_bytes_of_changing(&[10, 12]), (10 + 12) * 56);
+    /// assert_eq!(layout.raw_bytes_of_changing(&[10, 10]), layout.raw_bytes(10, 2));
     /// ```
-    pub fn raw_bytes_of_changing(&self, num_gaussians: impl IntoIterator<Item = usize>) -> u64 {
-        let bytes = 4 * self.components() as u64;
-        num_gaussians.into_iter().map(|n| n as u64 * bytes).sum()
+    pub fn raw_bytes_of_changing(&self, num_gaussians: &[usize]) -> u64 {
+        match num_gaussians {
+            [first, others @ ..] if others.iter().all(|n| n == first) => self.raw_bytes(*first, num_gaussians.len()),
+            _ => num_gaussians.iter().map(|n| *n as u64 * 4 * self.components() as u64).sum(),
+        }
     }
 
     /// The first column beyond [`Attribute::BASE`], if there is one; formats of five columns cannot hold it.

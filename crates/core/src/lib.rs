@@ -1,7 +1,7 @@
 //! The data types of every tcgs crate: Gaussians, cameras, views, images and elementwise maths.
 //!
-//! What lives here: the data types that pass between crates, and maths on single elements (quaternions, activations,
-//! spherical harmonics). The maths is generic over [`Real`]: one source is run in `f32` and differentiated in `f64`.
+//! What lives here: the data types that pass between crates, and maths on single elements (vectors, quaternions,
+//! activations, spherical harmonics). The maths is generic over [`Real`]: one source is run in `f32` and differentiated in `f64`.
 //! Three small jobs live here, too: the order of numbered names, text made safe for a terminal, and reading files of
 //! bounded size. What does not: formats of files, rendering, optimisation, compression.
 //!
@@ -21,6 +21,7 @@ mod file;
 mod harmonics;
 mod image;
 mod layout;
+mod median;
 mod natural_key;
 mod parallel;
 mod printable;
@@ -30,6 +31,7 @@ mod real;
 mod seen_colors;
 mod subject;
 mod tour;
+mod vector;
 mod view;
 
 pub use activation::{Activated, ActivatedGrads, activate, activate_bwd, sigmoid, sigmoid_vjp};
@@ -45,15 +47,17 @@ pub use file::{open_file, read_file, read_text};
 pub use harmonics::{HARMONIC_0, MAX_SH_DEGREE, color_in_direction, color_in_direction_vjp, harmonics, harmonics_vjp};
 pub use image::Image;
 pub use layout::{Activation, Column, Layout, RateGroup};
+pub use median::upper_median;
 pub use natural_key::natural_key;
 pub use printable::printable;
 pub use quat::{
-    dot, normalize, normalize_vjp, quat_conjugate, quat_mul, quat_mul_vjp, rotmat_from_quat, rotmat_from_quat_vjp,
-    rotmat_from_unit_quat, rotmat_from_unit_quat_vjp,
+    quat_conjugate, quat_mul, quat_mul_vjp, rotmat_from_quat, rotmat_from_quat_vjp, rotmat_from_unit_quat,
+    rotmat_from_unit_quat_vjp,
 };
 pub use reader::SceneReader;
 pub use real::Real;
 pub use seen_colors::{seen_colors, seen_colors_bwd};
 pub use subject::{Subject, add_motion};
 pub use tour::{Tour, upright_axes};
+pub use vector::{add_scaled, cross, distance, dot, length, normalize, normalize_vjp, squared_distance, sub};
 pub use view::{Segmentation, View};

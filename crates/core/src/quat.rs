@@ -1,50 +1,6 @@
 //! Quaternions (`w, x, y, z`) and their rotation matrices, each beside its vector-Jacobian product.
 
-use crate::Real;
-
-/// Inner product.
-///
-/// - `a`, `b`: `[D]`
-/// - returns: `Σ a_i b_i`
-#[inline(always)]
-pub fn dot<R: Real, const D: usize>(a: [R; D], b: [R; D]) -> R {
-    let mut sum = R::zero();
-    for i in 0..D {
-        sum = sum + a[i] * b[i];
-    }
-    sum
-}
-
-/// Unit vector along `v`; a vector of length zero is returned as it is.
-///
-/// - `v`: `[D]`
-/// - returns: `v / ‖v‖`
-///
-/// ```
-/// assert_eq!(tcgs_core::normalize([0.0_f32, 2.0, 0.0, 0.0]), [0.0, 1.0, 0.0, 0.0]);
-/// ```
-#[inline(always)]
-pub fn normalize<R: Real, const D: usize>(v: [R; D]) -> [R; D] {
-    let length = dot(v, v).sqrt();
-    if length > R::zero() { v.map(|x| x / length) } else { v }
-}
-
-/// VJP of [`normalize`]: the incoming gradient's part across `v`, divided by `‖v‖`.
-///
-/// - `v`: `[D]`, as given to `normalize`
-/// - `v_unit`: `∂L/∂(v/‖v‖)`
-/// - returns: `∂L/∂v`; zero where `v` has no length
-#[inline(always)]
-pub fn normalize_vjp<R: Real, const D: usize>(v: [R; D], v_unit: [R; D]) -> [R; D] {
-    let length = dot(v, v).sqrt();
-    if length > R::zero() {
-        let unit = v.map(|x| x / length);
-        let along = dot(unit, v_unit);
-        std::array::from_fn(|i| (v_unit[i] - unit[i] * along) / length)
-    } else {
-        [R::zero(); D]
-    }
-}
+use crate::{Real, normalize, normalize_vjp};
 
 /// Hamilton product `a ⊗ b`: rotate by `b`, then by `a`.
 ///
@@ -136,6 +92,7 @@ pub fn rotmat_from_quat_vjp<R: Real>(quat: [R; 4], v_rotmat: [[R; 3]; 3]) -> [R;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dot;
 
     const Q: [f64; 4] = [0.9, -0.4, 0.3, 0.7];
     const P: [f64; 4] = [-0.2, 0.8, 0.5, -0.6];

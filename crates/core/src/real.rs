@@ -1,7 +1,7 @@
 //! The scalar that elementwise maths is generic over.
 
 /// A real number: `f32` where it runs, `f64` where it is differentiated.
-pub trait Real: num_traits::Float + Send + Sync + std::fmt::Debug + 'static {
+pub trait Real: num_traits::Float + num_traits::float::TotalOrder + Send + Sync + std::fmt::Debug + 'static {
     /// The nearest value to a literal.
     ///
     /// ```

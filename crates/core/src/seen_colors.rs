@@ -4,7 +4,7 @@
 
 use crate::parallel::{for_each_row, map};
 use crate::{Attribute, Camera, GaussianGrads, Gaussians, color_in_direction, color_in_direction_vjp, harmonics};
-use crate::{normalize, normalize_vjp};
+use crate::{normalize, normalize_vjp, sub};
 
 /// Most coefficients of a channel, for the degrees from 1 on.
 const MAX_COEFFICIENTS: usize = 15;
@@ -27,8 +27,7 @@ impl<'a> Seen<'a> {
 
     /// Vector from the camera to the centre of Gaussian `i`.
     fn offset(&self, i: usize) -> [f32; 3] {
-        let mean = self.gaussians.means()[i];
-        std::array::from_fn(|axis| (f64::from(mean[axis]) - self.position[axis]) as f32)
+        sub(self.gaussians.means()[i].map(f64::from), self.position).map(|x| x as f32)
     }
 
     /// Coefficients of Gaussian `i`, and their number per channel.

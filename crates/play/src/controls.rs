@@ -3,7 +3,7 @@
 //! Lengths are in scene units, angles in radians. The scene follows the pointer: a drag to the right moves the camera
 //! to the left.
 
-use tcgs_core::{Camera, CameraError, dot, normalize};
+use tcgs_core::{Camera, CameraError, add_scaled, cross, dot, length, normalize, sub};
 
 /// The axis that points up and the line of sight stay at least this far apart, so that the picture never flips.
 const MIN_POLE_ANGLE: f64 = 0.05;
@@ -41,7 +41,7 @@ impl CameraPose {
     }
 
     fn pivot(&self) -> Vector {
-        add(self.position, self.axes[2], self.distance)
+        add_scaled(self.position, self.distance, self.axes[2])
     }
 }
 
@@ -109,7 +109,7 @@ impl Controls {
     pub fn orbit(&mut self, dx: f64, dy: f64) {
         let pivot = self.pose.pivot();
         if self.turn(-dx, dy) {
-            self.pose.position = add(pivot, self.pose.axes[2], -self.pose.distance);
+            self.pose.position = add_scaled(pivot, -self.pose.distance, self.pose.axes[2]);
         }
     }
 
@@ -139,7 +139,7 @@ impl Controls {
         let distance = (self.pose.distance / factor).clamp(*range.start(), *range.end());
         let pivot = self.pose.pivot();
         self.pose.distance = distance;
-        self.pose.position = add(pivot, self.pose.axes[2], -distance);
+        self.pose.position = add_scaled(pivot, -distance, self.pose.axes[2]);
         self.pose.is_moved = true;
     }
 
@@ -153,7 +153,7 @@ impl Controls {
     fn shift(&mut self, along: Vector) {
         if along.iter().all(|d| d.is_finite()) {
             for (axis, d) in self.pose.axes.into_iter().zip(along) {
-                self.pose.position = add(self.pose.position, axis, d);
+                self.pose.position = add_scaled(self.pose.position, d, axis);
             }
             self.pose.is_moved = true;
         }
@@ -185,21 +185,12 @@ impl Controls {
 
 /// How far ahead of a camera a point is; a positive number in any case.
 fn ahead(camera: &Camera, point: Vector) -> f64 {
-    let center = camera.center();
-    let offset: Vector = std::array::from_fn(|i| point[i] - center[i]);
-    let distance = dot(offset, offset).sqrt();
+    let offset = sub(point, camera.center());
+    let distance = length(offset);
     let depth = dot(offset, camera.forward());
     // A point beside or behind the camera has no useful depth, so its distance counts instead.
     let found = if depth > 0.2 * distance { depth } else { distance };
     if found.is_finite() && found > 0.0 { found } else { 1.0 }
-}
-
-fn add(a: Vector, b: Vector, factor: f64) -> Vector {
-    std::array::from_fn(|i| a[i] + factor * b[i])
-}
-
-fn cross(a: Vector, b: Vector) -> Vector {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// Rodrigues' formula.
@@ -214,7 +205,7 @@ fn rotated(v: Vector, axis: Vector, angle: f64) -> Vector {
 /// Restores orthonormal axes, because the rounding of many small turns would accumulate.
 fn orthonormal([right, _, forward]: [Vector; 3]) -> [Vector; 3] {
     let forward = normalize(forward);
-    let right = normalize(add(right, forward, -dot(right, forward)));
+    let right = normalize(add_scaled(right, -dot(right, forward), forward));
     [right, cross(forward, right), forward]
 }
 
@@ -234,13 +225,8 @@ mod tests {
         Controls::new(&start(), UP, PIVOT)
     }
 
-    fn length(v: Vector) -> f64 {
-        dot(v, v).sqrt()
-    }
-
     fn to_pivot(camera: &Camera) -> Vector {
-        let center = camera.center();
-        std::array::from_fn(|i| PIVOT[i] - center[i])
+        sub(PIVOT, camera.center())
     }
 
     /// Where a point is seen, pixels.
@@ -284,7 +270,7 @@ mod tests {
     #[test]
     fn what_is_dragged_follows_the_pointer() {
         // A point in front of the pivot is dragged to the right and down.
-        let near = add(PIVOT, start().forward(), -0.5);
+        let near = add_scaled(PIVOT, -0.5, start().forward());
         for (x, y) in [(0.01, 0.0), (0.0, 0.01)] {
             for motion in [Controls::orbit, Controls::look, Controls::pan] {
                 let mut controls = controls();

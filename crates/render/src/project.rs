@@ -1,6 +1,6 @@
 //! Projection of one Gaussian to its splat, and its vector-Jacobian product.
 
-use tcgs_core::{Camera, Pinhole, Real, dot, rotmat_from_unit_quat, rotmat_from_unit_quat_vjp};
+use tcgs_core::{Camera, Pinhole, Real, cross, dot, rotmat_from_unit_quat, rotmat_from_unit_quat_vjp};
 
 use crate::settings::{BLUR_VARIANCE, FOV_MARGIN, NEAR};
 
@@ -117,7 +117,7 @@ pub fn project<R: Real>(mean: [R; 3], quat: [R; 4], scale: [R; 3], camera: &Spla
     let mean2d =
         [pinhole.focal[0] * x / depth + pinhole.principal[0], pinhole.focal[1] * y / depth + pinhole.principal[1]];
     // |U × V|² is the determinant of UUᵀ without the difference of two large numbers.
-    let normal = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+    let normal = cross(u, v);
     let sharp_determinant = dot(normal, normal);
     let is_finite = mean2d[0].is_finite() && mean2d[1].is_finite();
     is_finite.then_some(Projection { mean2d, covariance2d, conic, depth, sharp_determinant })

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
-use tcgs_core::{BaseColumns, Camera, Gaussians, Image, PointCloud};
+use tcgs_core::{BaseColumns, Camera, Gaussians, Image, PointCloud, distance, squared_distance};
 
 /// All learned parameters at one timestep, in stored form.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -157,8 +157,7 @@ pub(crate) fn corrected(mut picture: Image, [gain, offset]: [[f32; 3]; 2]) -> Im
 pub fn scene_radius(cameras: &[Camera]) -> f32 {
     let centers: Vec<[f64; 3]> = cameras.iter().map(Camera::center).collect();
     let mean: [f64; 3] = std::array::from_fn(|i| centers.iter().map(|c| c[i]).sum::<f64>() / centers.len() as f64);
-    let distance = |c: &[f64; 3]| (0..3).map(|i| (c[i] - mean[i]).powi(2)).sum::<f64>().sqrt();
-    (1.1 * centers.iter().map(distance).fold(0.0, f64::max)) as f32
+    (1.1 * centers.iter().map(|&center| distance(center, mean)).fold(0.0, f64::max)) as f32
 }
 
 /// The scene's radius by its cameras. If they are all at one place, the distance of points decides.
@@ -175,7 +174,7 @@ pub(crate) fn extent(cameras: &[Camera], points: &[[f32; 3]]) -> f32 {
 /// Root mean squared distance of a camera to points, scene units.
 fn distance_to(camera: &Camera, points: &[[f32; 3]]) -> f32 {
     let center = camera.center();
-    let squared = |p: &[f32; 3]| (0..3).map(|i| (f64::from(p[i]) - center[i]).powi(2)).sum::<f64>();
+    let squared = |p: &[f32; 3]| squared_distance(p.map(f64::from), center);
     (points.iter().map(squared).sum::<f64>() / points.len() as f64).sqrt() as f32
 }
 

@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
-use tcgs_core::{Camera, Pinhole, PointCloud};
+use tcgs_core::{Camera, Pinhole, PointCloud, squared_distance};
 
 /// Fewest cells for a capture's unseen points, so that small scenes have some.
 const MIN_CELLS: usize = 1000;
@@ -43,7 +43,7 @@ pub(crate) fn gather_unseen(cloud: &PointCloud, cameras: &[Camera], share: f32) 
         };
         // A point of the surface, because the mean around a corner lies in the air.
         let middle = mean(&cloud.points);
-        let distance = |i: usize| (0..3).map(|axis| (cloud.points[i][axis] - middle[axis]).powi(2)).sum::<f32>();
+        let distance = |i: usize| squared_distance(cloud.points[i], middle);
         let nearest = cell.iter().copied().min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
         gathered.points.extend(nearest.map(|i| cloud.points[i]));
         gathered.colors.push(mean(&cloud.colors));

@@ -1,6 +1,6 @@
 //! From the matrices and vectors of a calibration to a camera, with the checks that all formats need.
 
-use tcgs_core::{MAX_COORDINATE, MAX_INTRINSIC, rotmat_from_quat};
+use tcgs_core::{MAX_COORDINATE, MAX_INTRINSIC, cross, dot, length, rotmat_from_quat};
 
 use super::CalibratedCamera;
 
@@ -78,15 +78,13 @@ pub(super) fn rigid(rotation: [[f64; 3]; 3], translation: [f64; 3]) -> Result<[[
     }
     for i in 0..3 {
         for j in 0..3 {
-            let dot = tcgs_core::dot(rotation[i], rotation[j]);
-            if (dot - f64::from(u8::from(i == j))).abs() > ROTATION_TOLERANCE {
+            if (dot(rotation[i], rotation[j]) - f64::from(u8::from(i == j))).abs() > ROTATION_TOLERANCE {
                 return Err(format!("its rotation is {rotation:?}, expected rows of length 1 at right angles"));
             }
         }
     }
     let [a, b, c] = rotation;
-    let cross = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-    if tcgs_core::dot(cross, c) < 0.0 {
+    if dot(cross(a, b), c) < 0.0 {
         return Err("its rotation has the determinant -1, expected 1: the axes are left-handed".into());
     }
     Ok(std::array::from_fn(|i| [rotation[i][0], rotation[i][1], rotation[i][2], translation[i]]))
@@ -94,7 +92,7 @@ pub(super) fn rigid(rotation: [[f64; 3]; 3], translation: [f64; 3]) -> Result<[[
 
 /// Rotation matrix of a rotation vector: the axis, as long as the angle in radians (Rodrigues).
 pub(crate) fn rotmat_from_vector(vector: [f64; 3]) -> [[f64; 3]; 3] {
-    let angle = tcgs_core::dot(vector, vector).sqrt();
+    let angle = length(vector);
     // sin(a / 2) / a, which is 1 / 2 where there is no turn.
     let share = if angle < 1e-12 { 0.5 } else { (0.5 * angle).sin() / angle };
     let [x, y, z] = vector.map(|v| share * v);
@@ -105,7 +103,7 @@ pub(crate) fn rotmat_from_vector(vector: [f64; 3]) -> [[f64; 3]; 3] {
 pub(super) fn inverse(transform: [[f64; 4]; 3]) -> [[f64; 4]; 3] {
     std::array::from_fn(|i| {
         let row: [f64; 3] = std::array::from_fn(|j| transform[j][i]);
-        [row[0], row[1], row[2], -tcgs_core::dot(row, std::array::from_fn(|j| transform[j][3]))]
+        [row[0], row[1], row[2], -dot(row, std::array::from_fn(|j| transform[j][3]))]
     })
 }
 

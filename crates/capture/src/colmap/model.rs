@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use tcgs_core::length;
+
 use super::bytes::{Bytes, lines, number, numbers};
 use crate::lens::{Crop, Lens, MAX_SIDE};
 use crate::{CaptureError, files};
@@ -204,10 +206,9 @@ fn text_images(text: &str) -> Result<Vec<PosedImage>, String> {
 }
 
 fn check_quats(images: Vec<PosedImage>) -> Result<Vec<PosedImage>, String> {
-    let length = |q: &[f64; 4]| q.iter().map(|q| q * q).sum::<f64>().sqrt();
-    match images.iter().find(|image| (length(&image.quat) - 1.0).abs() > 1e-2) {
+    match images.iter().find(|image| (length(image.quat) - 1.0).abs() > 1e-2) {
         Some(image) => {
-            Err(format!("image {}: its quaternion has the length {}, expected 1", image.name, length(&image.quat)))
+            Err(format!("image {}: its quaternion has the length {}, expected 1", image.name, length(image.quat)))
         }
         None => Ok(images),
     }

@@ -2,13 +2,12 @@
 //! and each camera with the one in the middle. The source of the points' colours therefore does not matter.
 
 use rayon::prelude::*;
-use tcgs_core::{Pinhole, View};
+use tcgs_core::{Pinhole, View, upper_median};
 
 use super::geometry::{Judged, Verdict};
 use super::splat::Splats;
 use super::{Finding, FindingKind};
 use crate::prepare::vantage::Vantage;
-use crate::rig::median;
 
 /// A camera is uneven if a channel is brighter or darker than the middle camera's by more than this. Training learns a
 /// gain of each camera and absorbs small differences: up to 23 % on basketball cost 0.08 dB of PSNR, up to 43 % on
@@ -33,7 +32,7 @@ pub(super) fn factors(views: &[View], splats: &Splats, judged: &[Judged]) -> Vec
     if known.len() < MIN_CAMERAS {
         return vec![None; views.len()];
     }
-    let middle = [0, 1, 2].map(|channel| median(known.iter().map(|of| of[channel]).collect()));
+    let middle = [0, 1, 2].map(|channel| upper_median(known.iter().map(|of| of[channel])).unwrap_or_default());
     let relative = |of: [f64; 3]| std::array::from_fn(|channel| (of[channel] - middle[channel]).exp());
     logarithms.into_iter().map(|of| of.map(relative)).collect()
 }
@@ -51,7 +50,8 @@ fn from_points(view: &View, splats: &Splats) -> Option<[f64; 3]> {
             }
         }
     }
-    ratios.iter().all(|ratios| ratios.len() >= MIN_PIXELS).then(|| ratios.map(median))
+    let is_seen = ratios.iter().all(|ratios| ratios.len() >= MIN_PIXELS);
+    is_seen.then(|| ratios.map(|ratios| upper_median(ratios).unwrap_or_default()))
 }
 
 /// Findings about cameras whose colours differ.

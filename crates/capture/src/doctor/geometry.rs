@@ -2,7 +2,7 @@
 //! which the points would fall on pixels of their colours. A hypothesis that fits clearly better is the finding.
 
 use rayon::prelude::*;
-use tcgs_core::{Camera, Pinhole, View};
+use tcgs_core::{Camera, Pinhole, View, distance, upper_median};
 
 use super::splat::{Drawing, MIN_COVERAGE, Splats, smoothness};
 use super::{Finding, FindingKind, Names};
@@ -78,10 +78,8 @@ pub(super) enum Hypothesis {
 pub(super) fn judge(splats: &Splats, views: &[View], pixels_per: usize) -> Vec<Judged> {
     let vantages: Vec<Vantage> = views.par_iter().map(|view| Vantage::new(view, 1)).collect();
     let drawings: Vec<_> = vantages.par_iter().map(|vantage| splats.draw(&vantage.pinhole)).collect();
-    let mut coverages: Vec<f64> = drawings.iter().map(Drawing::coverage).collect();
-    coverages.sort_by(f64::total_cmp);
     let point_smoothness = splats.smoothness();
-    let typical_coverage = coverages[coverages.len() / 2];
+    let typical_coverage = upper_median(drawings.iter().map(Drawing::coverage)).unwrap_or_default();
     let judged = (0..views.len())
         .into_par_iter()
         .map(|i| {
@@ -231,7 +229,6 @@ fn fisher(correlation: f64) -> f64 {
 }
 
 fn is_apart(views: &[View], i: usize, j: usize) -> bool {
-    let distance = |a: [f64; 3], b: [f64; 3]| (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>().sqrt();
     let centers: Vec<[f64; 3]> = views.iter().map(|view| view.camera.center()).collect();
     let size = centers.iter().map(|&center| distance(center, centers[0])).fold(0.0, f64::max);
     distance(centers[i], centers[j]) > MIN_APART * size

@@ -1,5 +1,7 @@
 //! Cameras with one pose: found from numbers alone, without images.
 
+use tcgs_core::distance;
+
 use super::{Finding, FindingKind, Names};
 
 /// Distance between two cameras below which they are in one place, share of the size of the rig.
@@ -21,7 +23,7 @@ type Pose = [[f64; 4]; 3];
 /// ```
 pub fn same_poses(poses: &[Pose]) -> Vec<Vec<usize>> {
     let centers: Vec<[f64; 3]> = poses.iter().map(center).collect();
-    let apart = |i: usize, j: usize| (0..3).map(|k| (centers[i][k] - centers[j][k]).powi(2)).sum::<f64>().sqrt();
+    let apart = |i: usize, j: usize| distance(centers[i], centers[j]);
     let size = (0..poses.len()).map(|i| apart(0, i)).fold(0.0, f64::max);
     let turned = |i: usize, j: usize| {
         let entries = (0..3).flat_map(|row| (0..3).map(move |column| (row, column)));

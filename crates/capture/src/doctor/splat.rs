@@ -1,8 +1,6 @@
 //! Draws points as seen by a camera, and measures their fit to an image.
 
-use tcgs_core::{Pinhole, PointCloud};
-
-use crate::prepare::vantage::{length, sub};
+use tcgs_core::{Pinhole, PointCloud, distance};
 
 /// Maximum number of drawn points.
 const MAX_POINTS: usize = 40_000;
@@ -50,7 +48,7 @@ impl Splats {
                 points.iter().zip(&foreground).filter(|(_, f)| **f == label).map(|(p, _)| *p).collect();
             let nearest = |i: usize| {
                 let others = alike.iter().enumerate().filter(|&(j, _)| j != i);
-                others.map(|(_, &p)| length(sub(p, alike[i]))).fold(f32::INFINITY, f32::min)
+                others.map(|(_, &p)| distance(p, alike[i])).fold(f32::INFINITY, f32::min)
             };
             let mut gaps: Vec<f32> =
                 (0..alike.len()).step_by(alike.len().div_ceil(NUM_PROBES).max(1)).map(nearest).collect();
@@ -76,9 +74,9 @@ impl Splats {
         let pairs: Vec<(usize, usize)> = (0..self.points.len())
             .step_by(step)
             .filter_map(|i| {
-                let distance = |j: usize| length(sub(self.points[j], self.points[i]));
+                let apart = |j: usize| distance(self.points[j], self.points[i]);
                 let others = (0..self.points.len()).filter(|&j| j != i);
-                others.min_by(|&a, &b| distance(a).total_cmp(&distance(b))).map(|j| (i, j))
+                others.min_by(|&a, &b| apart(a).total_cmp(&apart(b))).map(|j| (i, j))
             })
             .collect();
         let color = |i: usize| self.colors[i].map(f64::from);

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
-use tcgs_core::{Pinhole, View};
+use tcgs_core::{Pinhole, View, upper_median};
 
 use super::{Finding, FindingKind};
 use crate::{
@@ -176,12 +176,8 @@ fn stills(capture: &Capture, downscale: usize) -> Result<BTreeMap<usize, Vec<[f3
     }
     let median = |images: &Vec<Vec<[f32; 3]>>| {
         let pixel = |pixel: usize| {
-            std::array::from_fn(|channel| {
-                let mut values: Vec<f32> =
-                    images.iter().filter_map(|image| image.get(pixel)).map(|c| c[channel]).collect();
-                values.sort_by(f32::total_cmp);
-                values[values.len() / 2]
-            })
+            let colors = images.iter().filter_map(|image| image.get(pixel));
+            [0, 1, 2].map(|channel| upper_median(colors.clone().map(|color| color[channel])).unwrap_or_default())
         };
         (0..images[0].len()).into_par_iter().map(pixel).collect()
     };

@@ -14,7 +14,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use tcgs_core::{Camera, rotmat_from_quat};
+use tcgs_core::{Camera, length, rotmat_from_quat};
 
 use crate::checked::{FrameRate, InnerPath};
 use crate::contents::{CameraSetOfFiles, Contents};
@@ -130,7 +130,7 @@ fn read_lines(path: &Path) -> Result<Vec<[f64; COLUMNS]>, CaptureError> {
 
 fn camera(line: &[f64; COLUMNS], (width, height): (usize, usize)) -> Result<Camera, String> {
     let &[focal, cx, cy, aspect, skew, qw, qx, qy, qz, tx, ty, tz] = line;
-    let norm = [qw, qx, qy, qz].iter().map(|q| q * q).sum::<f64>().sqrt();
+    let norm = length([qw, qx, qy, qz]);
     if (norm - 1.0).abs() > 1e-2 {
         return Err(format!("the quaternion has the length {norm}, expected 1"));
     }

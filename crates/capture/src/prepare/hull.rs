@@ -3,9 +3,7 @@
 //! A few masks may disagree: segmentations lose hands and shoes.
 
 use rayon::prelude::*;
-use tcgs_core::Pinhole;
-
-use super::vantage::{length, sub};
+use tcgs_core::{Pinhole, distance, upper_median};
 
 /// A mask and its camera.
 pub(crate) struct Silhouette<'a> {
@@ -59,7 +57,7 @@ impl Hull {
         // Width of a pixel at the middle of the scene.
         let pixel = pinholes
             .iter()
-            .map(|pinhole| length(sub(pinhole.center, focus)) / pinhole.focal[0])
+            .map(|pinhole| distance(pinhole.center, focus) / pinhole.focal[0])
             .fold(f32::INFINITY, f32::min);
         while !hull.cubes.is_empty() && hull.cubes.len() < ENOUGH_CUBES && hull.edge > finest_px * pixel {
             hull.edge /= 2.0;
@@ -158,9 +156,8 @@ fn focus(pinholes: &[&Pinhole<f32>]) -> Option<([f32; 3], f32)> {
         }
     }
     let focus = super::solve(rows)?.map(|x| x as f32);
-    let mut distances: Vec<f32> = pinholes.iter().map(|pinhole| length(sub(pinhole.center, focus))).collect();
-    distances.sort_by(f32::total_cmp);
-    Some((focus, 1.2 * distances[distances.len() / 2]))
+    let typical = upper_median(pinholes.iter().map(|pinhole| distance(pinhole.center, focus)))?;
+    Some((focus, 1.2 * typical))
 }
 
 /// A mask as a summed-area table.

@@ -24,7 +24,7 @@ mod thin;
 pub(crate) mod vantage;
 
 use rayon::prelude::*;
-use tcgs_core::{Pinhole, View};
+use tcgs_core::{Pinhole, View, upper_median};
 
 use crate::{Capture, CaptureError, Origin, Prepared, Split};
 
@@ -401,13 +401,9 @@ impl Stereo {
     }
 }
 
-/// Median, channel by channel.
+/// Median, channel by channel; black without colours.
 fn median(colors: &[[f32; 3]]) -> [f32; 3] {
-    std::array::from_fn(|channel| {
-        let mut values: Vec<f32> = colors.iter().map(|color| color[channel]).collect();
-        values.sort_by(f32::total_cmp);
-        values[values.len() / 2]
-    })
+    [0, 1, 2].map(|channel| upper_median(colors.iter().map(|color| color[channel])).unwrap_or_default())
 }
 
 /// Solves linear equations by Gaussian elimination with pivoting; `None` if they have no single solution.

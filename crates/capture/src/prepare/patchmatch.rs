@@ -4,11 +4,11 @@
 //! pixel. A slanted surface therefore needs three numbers, and carrying a plane to the next pixel two multiplications.
 //! Good hypotheses spread from pixel to pixel; random changes refine them.
 
-use tcgs_core::dot;
+use tcgs_core::{distance, dot};
 
 use tcgs_core::Pinhole;
 
-use super::vantage::{Vantage, length, sub};
+use super::vantage::Vantage;
 
 /// Maximum number of views that a view is compared with.
 pub(super) const MAX_SOURCES: usize = 6;
@@ -71,7 +71,7 @@ pub(super) fn neighbors(pinholes: &[Pinhole<f32>], of: usize, count: usize) -> V
     let me = &pinholes[of];
     let mut others: Vec<(f32, usize)> = (0..pinholes.len())
         .filter(|&i| i != of && dot(me.forward(), pinholes[i].forward()) >= MIN_DIRECTION_COSINE)
-        .map(|i| (length(sub(me.center, pinholes[i].center)), i))
+        .map(|i| (distance(me.center, pinholes[i].center), i))
         // Two cameras in one place have no depth between them.
         .filter(|&(distance, _)| distance > 0.0)
         .collect();
@@ -83,7 +83,7 @@ pub(super) fn neighbors(pinholes: &[Pinhole<f32>], of: usize, count: usize) -> V
 /// [`MAX_DISPARITY_WIDTHS`] away.
 pub(super) fn widest_range(vantages: &[Vantage], of: usize, neighbors: &[usize]) -> Range {
     let me = &vantages[of].pinhole;
-    let baselines = neighbors.iter().map(|&i| length(sub(me.center, vantages[i].pinhole.center)));
+    let baselines = neighbors.iter().map(|&i| distance(me.center, vantages[i].pinhole.center));
     let baseline = baselines.fold(f32::INFINITY, f32::min);
     let to = MAX_DISPARITY_WIDTHS * me.width as f32 / (me.focal[0] * baseline);
     // A view without neighbours may have any range.

@@ -1,11 +1,8 @@
 //! The surroundings of all measured points: a sphere around the scene, and its floor.
 
-use tcgs_core::dot;
+use tcgs_core::{cross, distance, dot, length, normalize, sub};
 
-use super::{
-    patchmatch::Random,
-    vantage::{Vantage, length, sub},
-};
+use super::{patchmatch::Random, vantage::Vantage};
 
 /// RANSAC trials for the floor.
 const NUM_TRIALS: u64 = 300;
@@ -38,10 +35,10 @@ impl Shell {
     /// Fits a shell to points of the background.
     pub fn fit(vantages: &[Vantage], points: &[[f32; 3]]) -> Self {
         let middle = mean(vantages.iter().map(|vantage| vantage.pinhole.center));
-        let spread = vantages.iter().map(|v| length(sub(v.pinhole.center, middle))).fold(0.0, f32::max);
+        let spread = vantages.iter().map(|v| distance(v.pinhole.center, middle)).fold(0.0, f32::max);
         let step = points.len().div_ceil(NUM_JUDGES).max(1);
         let judges: Vec<[f32; 3]> = points.iter().step_by(step).copied().collect();
-        let mut distances: Vec<f32> = judges.iter().map(|&point| length(sub(point, middle))).collect();
+        let mut distances: Vec<f32> = judges.iter().map(|&point| distance(point, middle)).collect();
         distances.sort_by(f32::total_cmp);
         let Some(&far) = distances.get(distances.len() * 95 / 100) else {
             return Self { center: middle, radius: UNKNOWN_DISTANCE * 2.0 * spread, floor: None };
@@ -53,7 +50,7 @@ impl Shell {
         let rest: Vec<[f32; 3]> = judges.iter().copied().filter(off_floor).collect();
         // Every camera must be inside the sphere. Without such a sphere rays end all around at the far distance.
         let inside = |&(center, radius): &([f32; 3], f32)| {
-            vantages.iter().all(|vantage| length(sub(vantage.pinhole.center, center)) < 1.1 * radius)
+            vantages.iter().all(|vantage| distance(vantage.pinhole.center, center) < 1.1 * radius)
         };
         let (center, radius) = find_sphere(&rest).filter(inside).unwrap_or((middle, far));
         Self { center, radius, floor }
@@ -94,12 +91,11 @@ fn find_floor(vantages: &[Vantage], points: &[[f32; 3]], size: f32) -> Option<([
         let mut random = Random::new(1, trial);
         let mut pick = || points[((random.unit() * points.len() as f32) as usize).min(points.len() - 1)];
         let (a, b, c) = (pick(), pick(), pick());
-        let (u, v) = (sub(b, a), sub(c, a));
-        let cross = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
-        if length(cross) < 1e-3 * size * size {
+        let across = cross(sub(b, a), sub(c, a));
+        if length(across) < 1e-3 * size * size {
             continue;
         }
-        let mut normal: [f32; 3] = tcgs_core::normalize(cross);
+        let mut normal = normalize(across);
         if dot(normal, vantages[0].pinhole.center) < dot(normal, a) {
             normal = normal.map(|x| -x);
         }
@@ -129,7 +125,7 @@ fn find_sphere(points: &[[f32; 3]]) -> Option<([f32; 3], f32)> {
     let [x, y, z, rest] = super::solve(rows)?;
     let radius = (rest + x * x + y * y + z * z).max(0.0).sqrt() as f32;
     let center: [f32; 3] = std::array::from_fn(|i| middle[i] + [x, y, z][i] as f32);
-    let misses = points.iter().map(|&point| (length(sub(point, center)) - radius).abs());
+    let misses = points.iter().map(|&point| (distance(point, center) - radius).abs());
     let miss = misses.sum::<f32>() / points.len() as f32;
     (points.len() >= 100 && miss < MAX_MISS * radius).then_some((center, radius))
 }

@@ -4,12 +4,12 @@
 //! This measures no depth, but surfaces are likelier there than elsewhere. Training moves and removes the rest.
 
 use rayon::prelude::*;
-use tcgs_core::{Pinhole, View};
+use tcgs_core::{Pinhole, View, add_scaled, distance, length};
 
 use super::patchmatch::Random;
 use super::shell::Shell;
 use super::thin;
-use super::vantage::{Vantage, length, sub};
+use super::vantage::Vantage;
 use super::{Hull, Origin, Point, PrepareSettings, Prepared, Stereo, median, solve};
 use crate::{Capture, CaptureError, Split};
 
@@ -47,16 +47,16 @@ pub fn spread_points(capture: &Capture, settings: &PrepareSettings) -> Result<Pr
 fn spread(views: &[View], settings: &PrepareSettings) -> Option<Prepared> {
     let widest = views.iter().map(|view| view.camera.width).max().unwrap_or(1);
     let factor = widest.div_ceil(settings.image_width).max(1);
-    let (place, distance) = looked_at(views)?;
+    let (place, far) = looked_at(views)?;
     let vantages: Vec<Vantage> = views.par_iter().map(|view| Vantage::new(view, factor)).collect();
-    let radius = (BALL_SHARE * distance) as f32;
+    let radius = (BALL_SHARE * far) as f32;
     let num_within = ((1.0 - ON_SHELL) * settings.num_points as f64) as usize;
     let mut tried: Vec<(f32, Point)> = (0..TRIALS * num_within)
         .into_par_iter()
         .filter_map(|i| {
             let mut random = Random::new(settings.seed, i as u64);
             let offset: [f32; 3] = std::array::from_fn(|_| random.signed());
-            let position = std::array::from_fn(|k| place[k] + radius * offset[k]);
+            let position = add_scaled(place, radius, offset);
             let inside = length(offset) <= 1.0;
             inside.then(|| judged(&vantages, position)).flatten()
         })
@@ -65,7 +65,7 @@ fn spread(views: &[View], settings: &PrepareSettings) -> Option<Prepared> {
     tried.sort_by(|a, b| a.0.total_cmp(&b.0));
     let kept = tried.into_iter().take(num_within).map(|(_, point)| point);
 
-    let farthest = vantages.iter().map(|v| length(sub(v.pinhole.center, place))).fold(0.0, f32::max);
+    let farthest = vantages.iter().map(|v| distance(v.pinhole.center, place)).fold(0.0, f32::max);
     let shell = Shell::around(place, SHELL_SHARE * farthest);
     let (maps, witnesses, hull_surface) = (Vec::new(), Vec::new(), Vec::new());
     let stereo = Stereo { vantages, maps, witnesses, hull: Hull::default(), hull_surface };

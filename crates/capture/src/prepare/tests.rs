@@ -193,7 +193,7 @@ fn the_hull_of_a_ball_is_the_ball() {
         .map(|pinhole| {
             let sees = |pixel: usize| {
                 let ray = tcgs_core::normalize(pinhole.ray(pinhole.pixel_center(pixel)));
-                let to = vantage::sub(center, pinhole.center);
+                let to = tcgs_core::sub(center, pinhole.center);
                 let along = tcgs_core::dot(to, ray);
                 tcgs_core::dot(to, to) - along * along < radius * radius
             };
@@ -203,7 +203,7 @@ fn the_hull_of_a_ball_is_the_ball() {
     let silhouettes: Vec<Silhouette> =
         pinholes.iter().zip(&masks).map(|(pinhole, mask)| Silhouette { pinhole, mask }).collect();
     let hull = Hull::carve(&silhouettes, 1.5);
-    let distances: Vec<f32> = hull.surface().iter().map(|&p| vantage::length(vantage::sub(p, center))).collect();
+    let distances: Vec<f32> = hull.surface().iter().map(|&p| tcgs_core::distance(p, center)).collect();
     let mean = distances.iter().sum::<f32>() / distances.len() as f32;
     assert!(distances.len() > 300 && (mean - radius).abs() < 0.04, "{} cubes, {mean}", distances.len());
     assert!(distances.iter().all(|&d| d < radius + 0.15), "a hull of 12 views reaches little beyond");

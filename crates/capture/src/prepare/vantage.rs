@@ -39,11 +39,3 @@ impl Vantage {
         self.mask.as_ref().is_some_and(|mask| mask[pixel])
     }
 }
-
-pub(crate) fn sub(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
-    std::array::from_fn(|i| a[i] - b[i])
-}
-
-pub(crate) fn length(a: [f32; 3]) -> f32 {
-    tcgs_core::dot(a, a).sqrt()
-}

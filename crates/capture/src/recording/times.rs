@@ -1,5 +1,7 @@
 //! Presentation times of a recording's frames.
 
+use tcgs_core::upper_median;
+
 /// Presentation times of the frames of one recording, ascending, seconds.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Times {
@@ -48,10 +50,8 @@ impl Times {
         match self {
             Self::AtRate { fps, .. } => Some(*fps),
             Self::Listed(secs) => {
-                let mut gaps: Vec<f64> = secs.windows(2).map(|pair| pair[1] - pair[0]).collect();
-                gaps.sort_by(f64::total_cmp);
-                let median = *gaps.get(gaps.len() / 2)?;
-                let mean = (secs[secs.len() - 1] - secs[0]) / gaps.len() as f64;
+                let median = upper_median(secs.windows(2).map(|pair| pair[1] - pair[0]))?;
+                let mean = (secs[secs.len() - 1] - secs[0]) / (secs.len() - 1) as f64;
                 // Rounded times alternate; at a constant rate the mean is more exact.
                 let fps = 1.0 / if (median / mean - 1.0).abs() < 0.05 { mean } else { median };
                 (fps.is_finite() && fps > 0.0).then_some(fps)

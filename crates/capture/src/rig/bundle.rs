@@ -4,9 +4,9 @@
 //! Synthesis", §6). Observations have the weights of Cauchy's loss. Gaussian priors hold the cameras near their given
 //! poses.
 
-use tcgs_core::dot;
+use tcgs_core::{distance, dot, upper_median};
 
-use super::camera::{K1, LOG_FOCAL, PARAMETERS, RigCamera, distance, median};
+use super::camera::{K1, LOG_FOCAL, PARAMETERS, RigCamera};
 use super::normal::{Slopes, System, inverse};
 
 /// One point of the scene at one moment, and its observations.
@@ -105,7 +105,7 @@ pub(super) fn bundle(
 pub(super) fn rig_size(cameras: &[RigCamera]) -> f64 {
     let centers: Vec<[f64; 3]> = cameras.iter().map(RigCamera::center).collect();
     let middle: [f64; 3] = std::array::from_fn(|i| centers.iter().map(|c| c[i]).sum::<f64>() / centers.len() as f64);
-    median(centers.iter().map(|&center| distance(center, middle)).collect()).max(1e-9)
+    upper_median(centers.iter().map(|&center| distance(center, middle))).unwrap_or_default().max(1e-9)
 }
 
 /// Reprojection error of one observation, pixels; large where the point is behind the camera.
@@ -126,8 +126,8 @@ pub(super) fn errors(cameras: &[RigCamera], track: &Track) -> Vec<f64> {
 }
 
 fn robust_scale(cameras: &[RigCamera], tracks: &[Track]) -> f64 {
-    let all: Vec<f64> = tracks.iter().flat_map(|track| errors(cameras, track)).collect();
-    CAUCHY_PER_MEDIAN * median(all)
+    let all = tracks.iter().flat_map(|track| errors(cameras, track));
+    CAUCHY_PER_MEDIAN * upper_median(all).unwrap_or_default()
 }
 
 fn prior_weights(freedom: Freedom, size: f64, scale: f64) -> [f64; PARAMETERS] {

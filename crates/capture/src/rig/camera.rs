@@ -1,6 +1,6 @@
 //! A camera while its numbers are sought: lens and pose, its rays, the effect of a small change.
 
-use tcgs_core::{dot, normalize};
+use tcgs_core::{add_scaled, cross, dot, normalize};
 
 use crate::calibration::rotmat_from_vector;
 use crate::description::DescribedCamera;
@@ -112,34 +112,11 @@ impl RigCamera {
     pub fn straightened(mut self) -> Self {
         let m = self.camera_from_world.map(|[a, b, c, _]| [a, b, c]);
         let x = normalize(m[0]);
-        let along = dot(x, m[1]);
-        let y = normalize(std::array::from_fn(|i| m[1][i] - along * x[i]));
+        let y = normalize(add_scaled(m[1], -dot(x, m[1]), x));
         let z = cross(x, y);
         for (row, axis) in [x, y, z].into_iter().enumerate() {
             self.camera_from_world[row][..3].copy_from_slice(&axis);
         }
         self
     }
-}
-
-pub(super) fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
-
-pub(super) fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    std::array::from_fn(|i| a[i] - b[i])
-}
-
-pub(super) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
-    let apart = minus(a, b);
-    dot(apart, apart).sqrt()
-}
-
-/// The median; 0 without values.
-pub(crate) fn median(mut values: Vec<f64>) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }

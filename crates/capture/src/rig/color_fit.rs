@@ -3,7 +3,8 @@
 //! What lives here: numbers alone. What does not: the search for places that cameras have in common, and their colours
 //! (`colors`).
 
-use super::camera::median;
+use tcgs_core::upper_median;
+
 use super::normal::solve_positive;
 
 /// Values of one place: camera and value in `[0, 1]`.
@@ -61,8 +62,8 @@ pub(super) fn fit(places: &[Seen], is_free: &[bool], model: Model) -> Vec<Line> 
     }
     for _ in 0..NUM_STEPS {
         let errors: Vec<Vec<f64>> = places.iter().map(|seen| from_middle(seen, &lines)).collect();
-        let deviation = DEVIATION_PER_MEDIAN * median(errors.iter().flatten().map(|error| error.abs()).collect());
-        let deviation = deviation.max(MIN_DEVIATION);
+        let middle = upper_median(errors.iter().flatten().map(|error| error.abs())).unwrap_or_default();
+        let deviation = (DEVIATION_PER_MEDIAN * middle).max(MIN_DEVIATION);
         match step(&places, &errors, deviation, is_free, model) {
             Some(next) => lines = next,
             None => break,
@@ -130,7 +131,8 @@ fn step(places: &[Seen], errors: &[Vec<f64>], deviation: f64, is_free: &[bool], 
 /// Gives the camera in the middle the gain 1 and the offset 0.
 fn relative_to_the_middle(lines: &mut [Line], is_free: &[bool]) {
     let of = |pick: fn(&Line) -> f64| {
-        median(lines.iter().zip(is_free).filter(|(_, is_free)| **is_free).map(|(line, _)| pick(line)).collect())
+        let free = lines.iter().zip(is_free).filter(|(_, is_free)| **is_free);
+        upper_median(free.map(|(line, _)| pick(line))).unwrap_or_default()
     };
     let (gain, offset) = (of(|line| line.gain), of(|line| line.offset));
     for (line, _) in lines.iter_mut().zip(is_free).filter(|(_, is_free)| **is_free) {
@@ -189,7 +191,7 @@ mod tests {
             assert!((found.gain / expected.gain - 1.0).abs() < 0.02, "{found:?} {expected:?}");
             assert!((found.offset - expected.offset).abs() < 0.01, "{found:?} {expected:?}");
         }
-        let typical = |lines: &[Line]| median(errors(&places(&gains), lines).concat());
+        let typical = |lines: &[Line]| upper_median(errors(&places(&gains), lines).concat()).unwrap();
         assert!(typical(&gains) < 0.02 && typical(&[Line::NONE; 5]) > 0.04);
     }
 

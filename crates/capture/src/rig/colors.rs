@@ -9,9 +9,10 @@ use std::path::Path;
 
 use image::RgbImage;
 use rayon::prelude::*;
+use tcgs_core::upper_median;
 
 use super::bundle::{self, Track};
-use super::camera::{RigCamera, median};
+use super::camera::RigCamera;
 use super::color_fit::{self, Line, Model, Seen};
 use super::frames::Frames;
 use super::refine::{
@@ -119,7 +120,7 @@ fn best_of(
         let errors = [0, 1, 2].map(|channel| color_fit::errors(&to_judge[channel], &lines[channel]));
         let of_camera = |camera: usize| {
             let errors = errors.each_ref().map(|of_channel| of_channel[camera].as_slice()).concat();
-            (errors.len() >= 3 * MIN_TRACKS).then(|| 255.0 * median(errors))
+            (errors.len() >= 3 * MIN_TRACKS).then(|| 255.0 * upper_median(errors).unwrap_or_default())
         };
         (0..num_cameras).map(of_camera).collect()
     };

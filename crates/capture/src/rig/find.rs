@@ -3,10 +3,10 @@
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use tcgs_core::{dot, normalize};
+use tcgs_core::{add_scaled, cross, distance, dot, normalize, upper_median};
 
 use super::bundle::{self, Freedom, Track};
-use super::camera::{RigCamera, cross, median, minus};
+use super::camera::RigCamera;
 use super::frames::{Frames, moments};
 use super::model::{Found, to_text};
 use super::program::{Colmap, image_name};
@@ -106,9 +106,9 @@ pub fn find_cameras(
     }
     for ((camera, rig), errors) in description.cameras.iter_mut().zip(&cameras).zip(&of_camera) {
         rig.put_into(camera);
-        camera.error_px = Some((1e3 * median(errors.clone())).round() / 1e3);
+        camera.error_px = Some((1e3 * upper_median(errors.iter().copied()).unwrap_or_default()).round() / 1e3);
     }
-    let error_px = median(of_camera.concat());
+    let error_px = upper_median(of_camera.concat()).unwrap_or_default();
     Ok(FoundCameras { error_px, tracks })
 }
 
@@ -187,15 +187,12 @@ fn upright(cameras: &[RigCamera], tracks: &[Track]) -> Similarity {
     };
     let down = normalize(sum(1));
     let ahead = [sum(2), cameras[0].forward(), [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]];
-    let level = |v: [f64; 3]| {
-        let along = dot(v, down);
-        minus(v, down.map(|x| along * x))
-    };
+    let level = |v: [f64; 3]| add_scaled(v, -dot(v, down), down);
     // The mean direction of cameras all around is nearly zero.
     let forward = ahead.map(level).into_iter().find(|v| dot(*v, *v) > 0.01).unwrap_or([0.0, 0.0, 1.0]);
     let forward = normalize(forward);
     let rotation = [cross(down, forward), down, forward];
-    let middle: [f64; 3] = std::array::from_fn(|i| median(tracks.iter().map(|track| track.point[i]).collect()));
+    let middle = [0, 1, 2].map(|i| upper_median(tracks.iter().map(|track| track.point[i])).unwrap_or_default());
     let shift = rotation.map(|row| -dot(row, middle));
     Similarity { scale: 1.0, rotation, shift }
 }
@@ -217,7 +214,7 @@ pub fn scale_cameras(description: &mut CaptureDescription, cameras: [&str; 2], m
             format!("has no camera {name}, expected one of {}", names.join(", "))
         })
     };
-    let apart = super::camera::distance(center(cameras[0])?, center(cameras[1])?);
+    let apart = distance(center(cameras[0])?, center(cameras[1])?);
     if apart < 1e-9 {
         return Err(format!("has {} and {} at one place, expected two that are apart", cameras[0], cameras[1]));
     }

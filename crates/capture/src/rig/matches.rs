@@ -6,10 +6,10 @@
 //! shifted to where it fits best, also away from the epipolar line; bundle adjustment uses this shift.
 
 use rayon::prelude::*;
-use tcgs_core::dot;
+use tcgs_core::{add_scaled, cross, distance, dot, length, sub};
 
 use super::bundle::{Track, triangulate};
-use super::camera::{RigCamera, cross, distance, minus};
+use super::camera::RigCamera;
 use super::corners::{Corner, Pyramid};
 use super::patch::{NUM_MIDDLE, Patch, Plane, shifted};
 
@@ -124,12 +124,12 @@ fn of_pair(
     band: f64,
 ) -> Vec<(usize, [f64; 2])> {
     let (from, to) = (&cameras[a], &cameras[b]);
-    let baseline = minus(to.center(), from.center());
+    let baseline = sub(to.center(), from.center());
     let band = band * to.lens.width.max(to.lens.height) as f64 / to.lens.focal[0];
     let mut best_of: Vec<Option<Found>> = Vec::new();
     for (corner, ray) in shots[a].corners.iter().zip(&rays[a]) {
         let normal = cross(*ray, baseline);
-        let length = dot(normal, normal).sqrt();
+        let length = length(normal);
         if length < 1e-12 {
             best_of.push(None);
             continue;
@@ -178,11 +178,11 @@ fn meeting(a: [f64; 3], ray_a: [f64; 3], b: [f64; 3], ray_b: [f64; 3]) -> Option
     if !(MIN_ANGLE..MAX_ANGLE).contains(&angle) {
         return None;
     }
-    let between = minus(b, a);
+    let between = sub(b, a);
     let (p, q) = (dot(between, ray_a), dot(between, ray_b));
     let share = 1.0 - along * along;
     let (s, t) = ((p - along * q) / share, (along * p - q) / share);
-    (s > 0.0 && t > 0.0).then(|| std::array::from_fn(|i| a[i] + s * ray_a[i]))
+    (s > 0.0 && t > 0.0).then(|| add_scaled(a, s, ray_a))
 }
 
 struct Found {

@@ -31,7 +31,7 @@ const READINGS: [Reading; 3] = [
 /// - `shots`: of one moment
 /// - returns: the cameras as meant and, in words, what is done to them; `None` if the poses are right, or if it is not
 ///   certain what was meant
-pub(super) fn meant(
+pub(super) fn find(
     cameras: &[RigCamera],
     tracks: &[Track],
     shots: &[Shot],

@@ -28,7 +28,6 @@ mod refine;
 mod similarity;
 mod still;
 
-pub(crate) use camera::median;
 pub use colors::{ColorBalance, balance_colors};
 pub use find::{FoundCameras, find_cameras, scale_cameras};
 pub use program::has_colmap;

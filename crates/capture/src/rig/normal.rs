@@ -1,9 +1,9 @@
 //! The normal equations of a bundle adjustment, and their solution.
 
-use tcgs_core::dot;
+use tcgs_core::{cross, dot};
 
 use super::bundle::{Track, residual};
-use super::camera::{PARAMETERS, RigCamera, cross};
+use super::camera::{PARAMETERS, RigCamera};
 
 /// Steps of all cameras and of all points.
 type Steps = (Vec<[f64; PARAMETERS]>, Vec<[f64; 3]>);

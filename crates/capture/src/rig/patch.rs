@@ -1,8 +1,8 @@
 //! The appearance of a corner's surroundings in another camera, for a small plane of any direction.
 
-use tcgs_core::{dot, normalize};
+use tcgs_core::{add_scaled, cross, dot, normalize, sub};
 
-use super::camera::{RigCamera, cross, minus};
+use super::camera::RigCamera;
 use super::corners::{Corner, Gray, Pyramid};
 
 /// Half of a patch, pixels of the corner's level.
@@ -159,7 +159,7 @@ impl Plane {
     /// Planes of all directions that both cameras may see: first the one that faces them, then [`NUM_MIDDLE`] - 1 near
     /// it.
     pub fn directions(from: &RigCamera, to: &RigCamera, point: [f64; 3]) -> impl Iterator<Item = Self> {
-        let towards = |camera: &RigCamera| normalize(minus(camera.center(), point));
+        let towards = |camera: &RigCamera| normalize(sub(camera.center(), point));
         let (a, b) = (towards(from), towards(to));
         let middle = normalize([0, 1, 2].map(|i| a[i] + b[i]));
         let side = cross(middle, if middle[0].abs() < 0.7 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] });
@@ -199,12 +199,12 @@ impl Plane {
         target: [f64; 2],
     ) -> Option<Place<'a>> {
         let center = from.center();
-        let along = dot(minus(self.point, center), self.axes[0]);
+        let along = dot(sub(self.point, center), self.axes[0]);
         let image = |ray: [f64; 3]| {
             let facing = dot(ray, self.axes[0]);
             let depth = along / facing;
             (facing < -0.05 && depth > 0.0).then_some(())?;
-            to.project(std::array::from_fn(|i| center[i] + depth * ray[i]))
+            to.project(add_scaled(center, depth, ray))
         };
         let [middle, right, down] = patch.rays;
         let (middle, right, down) = (image(middle)?, image(right)?, image(down)?);

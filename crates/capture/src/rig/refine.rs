@@ -4,9 +4,10 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 use rayon::prelude::*;
+use tcgs_core::upper_median;
 
 use super::bundle::{self, Freedom, Track};
-use super::camera::{RigCamera, median};
+use super::camera::RigCamera;
 use super::frames::{Frames, moments};
 use super::matches::{self, Shot};
 use super::meant;
@@ -104,7 +105,7 @@ pub fn refine_cameras(
         return Ok(None);
     }
     let mut first = tracks(&before, &shots, BANDS[0]);
-    let meant = meant::meant(&before, &first[0], &shots[0], BANDS[0]);
+    let meant = meant::find(&before, &first[0], &shots[0], BANDS[0]);
     let mended = meant.map(|(cameras, words)| {
         first = tracks(&cameras, &shots, BANDS[0]);
         before = cameras;
@@ -304,7 +305,8 @@ fn judge(before: &[RigCamera], after: &[RigCamera], judges: &[Vec<Track>]) -> Re
     };
     let (old, new) = (errors(before), errors(after));
     let of_camera = |(old, new): (&Vec<f64>, &Vec<f64>)| {
-        (old.len() >= MIN_TRACKS).then(|| [median(old.clone()), median(new.clone())])
+        (old.len() >= MIN_TRACKS)
+            .then(|| [old, new].map(|errors| upper_median(errors.iter().copied()).unwrap_or_default()))
     };
     let camera_error_px: Vec<Option<[f64; 2]>> = old.iter().zip(&new).map(of_camera).collect();
     // Every camera counts the same: two cameras with much in common must not outvote the others.

@@ -1,9 +1,9 @@
 //! Moves, turns and scales a whole rig, which changes no picture.
 
-use tcgs_core::{dot, normalize, rotmat_from_quat};
+use tcgs_core::{distance, dot, normalize, rotmat_from_quat, sub};
 
 use super::bundle::Track;
-use super::camera::{RigCamera, distance};
+use super::camera::RigCamera;
 
 /// `p_new = scale * (rotation * p) + shift`
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -81,8 +81,7 @@ pub(super) fn between(cameras: &[RigCamera], onto: &[RigCamera]) -> Similarity {
     let rotation = rotmat_from_quat(horn(sums));
     let mut along = 0.0;
     for (camera, other) in cameras.iter().zip(onto) {
-        let a: [f64; 3] = std::array::from_fn(|i| camera.center()[i] - middle[i]);
-        let b: [f64; 3] = std::array::from_fn(|i| other.center()[i] - onto_middle[i]);
+        let (a, b) = (sub(camera.center(), middle), sub(other.center(), onto_middle));
         along += dot(rotation.map(|row| dot(row, a)), b);
     }
     let scale = (along / (cameras.len() as f64 * size * size)).max(1e-12);

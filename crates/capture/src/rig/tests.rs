@@ -4,9 +4,9 @@ use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use tcgs_core::{Camera, Pinhole, dot};
+use tcgs_core::{Camera, Pinhole, distance, dot};
 
-use super::camera::{PARAMETERS, RigCamera, distance};
+use super::camera::{PARAMETERS, RigCamera};
 use super::matches::{self, Shot};
 use super::meant;
 use super::refine;
@@ -215,7 +215,7 @@ fn poses_in_another_convention_are_told_from_the_images_and_mended() {
         }
         let spoilt = &rigs(&description)[..4];
         let tracks = matches::find(spoilt, &shots[..4], 0.01);
-        let found = meant::meant(spoilt, &tracks, &shots[..4], 0.01);
+        let found = meant::find(spoilt, &tracks, &shots[..4], 0.01);
         let (cameras, line) = found.unwrap_or_else(|| panic!("{words}: {}", meant::confirmed(spoilt, &tracks, 0.01)));
         assert!(line.contains(words), "{line}, expected {words:?}");
         for (camera, expected) in cameras.iter().zip(rigs(&truth)) {

@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use tcgs_core::PointCloud;
+use tcgs_core::{PointCloud, length};
 
 use super::{
     scene::{Body, ROOM, Shape, SyntheticScene},
@@ -67,7 +67,7 @@ fn sample_body(index: usize, body: &Body, random: &mut Random) -> Hit {
             let unit = loop {
                 let unit: [f64; 3] = tcgs_core::normalize(std::array::from_fn(|_| random.normal()));
                 let stretch = [unit[0] * b * c, unit[1] * a * c, unit[2] * a * b];
-                if random.uniform() * largest <= tcgs_core::dot(stretch, stretch).sqrt() {
+                if random.uniform() * largest <= length(stretch) {
                     break unit;
                 }
             };

@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-use tcgs_core::{Pinhole, View};
+use tcgs_core::{Pinhole, View, distance};
 
 use super::*;
 use crate::{Capture, Split};
@@ -54,10 +54,6 @@ fn moving_objects_cover_a_tenth_of_the_pixels() {
 
 #[test]
 fn the_ball_travels_three_of_its_diameters_in_small_steps() {
-    let distance = |a: [f64; 3], b: [f64; 3]| {
-        let d: [f64; 3] = std::array::from_fn(|i| a[i] - b[i]);
-        tcgs_core::dot(d, d).sqrt()
-    };
     let centers: Vec<_> = (0..24).map(|t| ball_at(t).0).collect();
     let diameter = 2.0 * ball_at(0).1;
     assert!(distance(centers[0], centers[23]) >= 3.0 * diameter);

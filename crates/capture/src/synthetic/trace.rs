@@ -1,6 +1,6 @@
 //! Rays: their intersection with the scene, and the light that comes back.
 
-use tcgs_core::{dot, normalize};
+use tcgs_core::{add_scaled, dot, length, normalize, sub};
 
 use super::{
     scene::{Body, ROOM, Shape, SyntheticScene},
@@ -58,7 +58,7 @@ impl SyntheticScene {
     ///
     /// - `direction`: unit
     pub fn hit(&self, origin: [f64; 3], direction: [f64; 3]) -> Hit {
-        let along = |distance: f64| std::array::from_fn(|i| origin[i] + distance * direction[i]);
+        let along = |distance: f64| add_scaled(origin, distance, direction);
         let (distance, normal) = hit_room(origin, direction);
         let mut nearest = (distance, Hit { body: None, position: along(distance), normal });
         for (index, body) in self.bodies.iter().enumerate() {
@@ -107,8 +107,8 @@ impl SyntheticScene {
     }
 
     fn light(&self, hit: &Hit) -> f64 {
-        let to_lamp: [f64; 3] = std::array::from_fn(|i| LAMP[i] - hit.position[i]);
-        let distance = dot(to_lamp, to_lamp).sqrt();
+        let to_lamp = sub(LAMP, hit.position);
+        let distance = length(to_lamp);
         // Light wraps around edges a little, as from a large lamp.
         let facing = ((dot(hit.normal, to_lamp) / distance + 0.35) / 1.35).max(0.0);
         let lamp = 1.05 * facing / (0.75 + 0.055 * distance * distance);
@@ -144,7 +144,7 @@ impl SyntheticScene {
 impl Body {
     /// Distance and outward normal of the first hit from outside.
     fn hit(&self, origin: [f64; 3], direction: [f64; 3]) -> Option<(f64, [f64; 3])> {
-        let to_center = std::array::from_fn(|i| self.center[i] - origin[i]);
+        let to_center = sub(self.center, origin);
         let closest = dot(to_center, direction);
         if dot(to_center, to_center) - closest * closest > self.reach() * self.reach() {
             return None;
@@ -159,7 +159,7 @@ impl Body {
                     return None;
                 }
                 let distance = (-b - discriminant.sqrt()) / a;
-                (distance, std::array::from_fn(|i| o[i] + distance * d[i]))
+                (distance, add_scaled(o, distance, d))
             }
             Shape::Box => {
                 let (mut enter, mut leave, mut axis) = (f64::NEG_INFINITY, f64::INFINITY, 0);
@@ -181,7 +181,7 @@ impl Body {
 
     /// Colour before light, at a point of the surface.
     fn color(&self, position: [f64; 3]) -> [f64; 3] {
-        self.texture.color(self.unit_from_world(std::array::from_fn(|i| position[i] - self.center[i])))
+        self.texture.color(self.unit_from_world(sub(position, self.center)))
     }
 
     /// A vector in the world, in the body's axes and in units of its half extents.
@@ -209,18 +209,18 @@ impl SyntheticScene {
 #[cfg(test)]
 impl Body {
     fn distance(&self, point: [f64; 3]) -> f64 {
-        let unit = self.unit_from_world(std::array::from_fn(|i| point[i] - self.center[i]));
+        let unit = self.unit_from_world(sub(point, self.center));
         match self.shape {
             Shape::Ellipsoid => {
-                let reach = dot(unit, unit).sqrt();
+                let reach = length(unit);
                 let slope: [f64; 3] = std::array::from_fn(|i| unit[i] / self.half[i]);
-                (reach * (reach - 1.0) / dot(slope, slope).sqrt()).abs()
+                (reach * (reach - 1.0) / length(slope)).abs()
             }
             Shape::Box => {
                 let over: [f64; 3] = std::array::from_fn(|i| (unit[i].abs() - 1.0) * self.half[i]);
                 let outside = over.map(|x| x.max(0.0));
                 let inside = over.iter().cloned().fold(f64::NEG_INFINITY, f64::max).min(0.0);
-                dot(outside, outside).sqrt() - inside
+                length(outside) - inside
             }
         }
     }

@@ -5,6 +5,7 @@ use std::io::Write;
 use std::path::{MAIN_SEPARATOR, Path};
 use std::process::{Command, Stdio};
 
+use crate::support::has_ffmpeg;
 use image::{Rgb, RgbImage};
 use tcgs_capture::{Calibration, Capture, ClocksFrom, DescribeSettings, RawFootage, Split};
 use tempfile::TempDir;
@@ -15,17 +16,6 @@ const HEIGHT: u32 = 64;
 const BITS: u32 = 7;
 const BLOCK: u32 = WIDTH / (BITS + 1);
 const RATE: &str = "20";
-
-/// Whether `ffmpeg` is installed; without it the test is skipped unless `REQUIRE_FFMPEG` is set.
-fn has_ffmpeg() -> bool {
-    let found = Command::new("ffmpeg").arg("-version").stdout(Stdio::null()).status().is_ok();
-    assert!(found || std::env::var_os("REQUIRE_FFMPEG").is_none(), "REQUIRE_FFMPEG is set, and there is no ffmpeg");
-    if !found {
-        // Bypasses the output capture of passing tests, so that a skip is visible.
-        let _ = writeln!(std::io::stderr(), "skipped: there is no ffmpeg");
-    }
-    found
-}
 
 /// A picture that shows its number as bits in the upper half.
 fn numbered(number: usize) -> RgbImage {

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
-use tcgs_core::Image;
+use tcgs_core::{Image, squared_distance, upper_median};
 use tcgs_pipeline::Backend;
 use tcgs_render::{RenderSettings, gaussians_reaching, tiles_reached};
 use tcgs_train::engine::cpu::drawn;
@@ -63,12 +63,8 @@ impl Part {
 
 /// Ascending indices of a share of the points, at least one: those nearest to the median point.
 fn nearest(points: &[[f32; 3]], share: f64) -> Vec<usize> {
-    let middle: [f32; 3] = std::array::from_fn(|axis| {
-        let mut values: Vec<f32> = points.iter().map(|point| point[axis]).collect();
-        values.sort_by(f32::total_cmp);
-        values[values.len() / 2]
-    });
-    let distance = |i: usize| (0..3).map(|axis| (points[i][axis] - middle[axis]).powi(2)).sum::<f32>();
+    let middle = [0, 1, 2].map(|axis| upper_median(points.iter().map(|point| point[axis])).unwrap_or_default());
+    let distance = |i: usize| squared_distance(points[i], middle);
     let mut order: Vec<usize> = (0..points.len()).collect();
     order.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)));
     order.truncate(((share * points.len() as f64) as usize).max(1));

@@ -149,23 +149,7 @@ fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<Describe
     };
 
     if arguments.dry_run {
-        say(match arguments.offsets {
-            Some(_) => "clocks: would be read from --offsets",
-            None => "clocks: would be measured by sound, else by motion",
-        })?;
-        say(match &calibration {
-            None => "cameras: would be found by colmap",
-            Some(_) if arguments.refine_calibration => "calibration: would be refined, where that makes it better",
-            Some(_) => "calibration: would be taken as it is",
-        })?;
-        if arguments.colors {
-            say("colours: would be compared, and evened out where that makes them more alike")?;
-        }
-        if arguments.masks != masks::Masks::No {
-            say(masks::WOULD)?;
-        }
-        say("points: would be made")?;
-        say(check::WOULD)?;
+        announce(arguments, calibration.as_ref())?;
         return Ok(None);
     }
     let names: Vec<String> = recorded.iter().map(|camera| camera.name.clone()).collect();
@@ -229,6 +213,27 @@ fn describe(arguments: &Arguments, out: &Path) -> anyhow::Result<Option<Describe
     write_json(&folder.path().join(RECORD), &json!({ "source": source.display().to_string() }), false)?;
     folder.finish()?;
     Ok(Some(Described { description, refinement, balance }))
+}
+
+/// Says what would be done, in a dry run.
+fn announce(arguments: &Arguments, calibration: Option<&Calibration>) -> anyhow::Result<()> {
+    say(match arguments.offsets {
+        Some(_) => "clocks: would be read from --offsets",
+        None => "clocks: would be measured by sound, else by motion",
+    })?;
+    say(match calibration {
+        None => "cameras: would be found by colmap",
+        Some(_) if arguments.refine_calibration => "calibration: would be refined, where that makes it better",
+        Some(_) => "calibration: would be taken as it is",
+    })?;
+    if arguments.colors {
+        say("colours: would be compared, and evened out where that makes them more alike")?;
+    }
+    if arguments.masks != masks::Masks::No {
+        say(masks::WOULD)?;
+    }
+    say("points: would be made")?;
+    say(check::WOULD)
 }
 
 /// Measures clocks by sound or motion, with a progress bar: motion decodes a minute of every video.

@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, Split};
-use tcgs_core::{Camera, dot, normalize, upright_axes};
+use tcgs_core::{Camera, add_scaled, distance, dot, length, normalize, upper_median, upright_axes};
 
 use crate::pictures::jpeg_uri;
 use crate::progress::Progress;
@@ -77,9 +77,9 @@ impl Rig {
                 let is_inside = (0.0..camera.width as f64).contains(&x) && (0.0..camera.height as f64).contains(&y);
                 is_inside.then_some(depth)
             });
-            median(seen.collect()).unwrap_or(spread.max(1e-3))
+            upper_median(seen).unwrap_or(spread.max(1e-3))
         };
-        let ahead = |camera: &Camera| add(camera.center(), camera.forward(), usual_depth(camera));
+        let ahead = |camera: &Camera| add_scaled(camera.center(), usual_depth(camera), camera.forward());
         let [from, to] = [mean(centers.iter().copied()), mean(cameras.iter().map(ahead))];
         let middle = mean([from, to].into_iter());
         let radius = centers.iter().chain([&to]).map(|&place| distance(place, middle)).fold(1e-3, f64::max);
@@ -88,7 +88,7 @@ impl Rig {
             let others = centers.iter().enumerate().filter(|&(j, _)| j != i);
             others.map(|(_, &b)| distance(a, b)).reduce(f64::min)
         };
-        let apart = median(centers.iter().enumerate().filter_map(nearest).collect()).unwrap_or(radius);
+        let apart = upper_median(centers.iter().enumerate().filter_map(nearest)).unwrap_or(radius);
         let [least, most] = DEPTH_OF_RIG.map(|share| share * radius);
         Ok(Self { depth: (DEPTH * apart).clamp(least, most), overview: overview(cameras, middle, radius) })
     }
@@ -97,35 +97,21 @@ impl Rig {
 /// A camera that sees the whole rig from above: from behind the cameras, or from one side if they stand all around.
 fn overview(cameras: &[Camera], middle: [f64; 3], radius: f64) -> Camera {
     let up = mean(cameras.iter().map(|camera| [0, 1, 2].map(|i| -camera.camera_from_world[1][i])));
-    let up = if dot(up, up).sqrt() > SAME_WAY { normalize(up) } else { [0.0, -1.0, 0.0] };
+    let up = if length(up) > SAME_WAY { normalize(up) } else { [0.0, -1.0, 0.0] };
     let forward = mean(cameras.iter().map(Camera::forward));
-    let level = add(forward, up, -dot(forward, up));
-    let level = if dot(level, level).sqrt() > SAME_WAY { normalize(level) } else { upright_axes(up)[2] };
-    let back = add(middle, level, -FAR * radius * ELEVATION.cos());
-    let eye = add(back, up, FAR * radius * ELEVATION.sin());
+    let level = add_scaled(forward, -dot(forward, up), up);
+    let level = if length(level) > SAME_WAY { normalize(level) } else { upright_axes(up)[2] };
+    let back = add_scaled(middle, -FAR * radius * ELEVATION.cos(), level);
+    let eye = add_scaled(back, FAR * radius * ELEVATION.sin(), up);
     Camera::look_at(eye, middle, up, 520.0, 640, 400)
-}
-
-fn add(a: [f64; 3], b: [f64; 3], factor: f64) -> [f64; 3] {
-    std::array::from_fn(|i| a[i] + factor * b[i])
-}
-
-fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
-    let between = add(a, b, -1.0);
-    dot(between, between).sqrt()
 }
 
 fn mean(places: impl Iterator<Item = [f64; 3]>) -> [f64; 3] {
     let (mut sum, mut count) = ([0.0; 3], 0.0_f64);
     for place in places {
-        (sum, count) = (add(sum, place, 1.0), count + 1.0);
+        (sum, count) = (add_scaled(sum, 1.0, place), count + 1.0);
     }
     sum.map(|x| x / count.max(1.0))
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 #[cfg(test)]
@@ -150,7 +136,7 @@ mod tests {
                 let ([x, y], depth) = view.project(camera.center()).unwrap();
                 assert!(depth > 0.0 && (0.0..640.0).contains(&x) && (0.0..400.0).contains(&y), "{x} {y}");
             }
-            let ([_, above], _) = view.project(add(middle, up, 0.5)).unwrap();
+            let ([_, above], _) = view.project(add_scaled(middle, 0.5, up)).unwrap();
             assert!(above < 200.0, "up is up");
         }
     }

@@ -1,8 +1,7 @@
 //! Captures of every layout, from the folder to the numbers of `tcgs eval`.
 
 use std::fs;
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use crate::support::*;
 use serde_json::json;
@@ -166,24 +165,12 @@ fn the_papers_settings_follow_the_layout() {
     assert!(message.contains("data.points differs from the run's"), "{message}");
 }
 
-/// A real capture; `None` skips the test, unless `REQUIRE_GOLDEN` is set.
-fn shared(name: &str) -> Option<PathBuf> {
-    let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join(name);
-    if path.is_dir() {
-        return Some(path);
-    }
-    assert!(std::env::var_os("REQUIRE_GOLDEN").is_none(), "{} is absent", path.display());
-    // Written past the test harness's capture, so that a skip is visible.
-    let _ = writeln!(std::io::stderr(), "skipped: {} is absent", path.display());
-    None
-}
-
 /// Disables pruning, so that so few iterations leave something visible.
 const KEEP: [&str; 5] = ["--no-mask", "--set", "densify.prune_opacity_end=0.005", "--set", "densify.reset=1000000"];
 
 #[test]
 fn kitchen_trains() {
-    let Some(path) = shared("kitchen") else { return };
+    let Some(path) = shared("data/kitchen") else { return };
     let (said, psnr) = train_and_judge(
         &path,
         &[&["--downscale", "8", "--frames", "0..2", "--iterations", "60,20"], &KEEP[..]].concat(),
@@ -194,7 +181,7 @@ fn kitchen_trains() {
 
 #[test]
 fn beercan_trains() {
-    let Some(path) = shared("beercan_colmap") else { return };
+    let Some(path) = shared("data/beercan_colmap") else { return };
     let (said, psnr) = train_and_judge(&path, &[&["--downscale", "8", "--iterations", "150,1"], &KEEP[..]].concat());
     assert!(
         said.contains(
@@ -207,7 +194,7 @@ fn beercan_trains() {
 
 #[test]
 fn temple_trains() {
-    let Some(path) = shared("temple_sparse_ring") else { return };
+    let Some(path) = shared("data/temple_sparse_ring") else { return };
     let folder = tempdir().unwrap();
     let points = folder.path().join("points.ply");
     write_box(&points);

@@ -5,6 +5,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use crate::support::videos::has_ffmpeg;
 use crate::support::*;
 use tempfile::{TempDir, tempdir};
 
@@ -108,9 +109,7 @@ fn a_saved_path_is_followed() {
 
 #[test]
 fn real_videos_show_the_pictures() {
-    if Command::new("ffmpeg").arg("-version").output().is_err() {
-        assert!(std::env::var_os("REQUIRE_FFMPEG").is_none(), "REQUIRE_FFMPEG is set, and there is no ffmpeg");
-        eprintln!("skipped: no ffmpeg on the PATH");
+    if !has_ffmpeg() {
         return;
     }
     let folder = tempdir().unwrap();

@@ -2,7 +2,7 @@
 //! order in which Gaussians are stored.
 
 use rayon::prelude::*;
-use tcgs_core::{Attribute, Gaussians};
+use tcgs_core::{Attribute, Gaussians, upper_median};
 
 use super::CompressSettings;
 use super::reduce::Reduced;
@@ -22,9 +22,7 @@ pub(super) fn tolerance_factors(first: &Gaussians, attribute: Attribute, setting
         return Vec::new();
     }
     let weights: Vec<f64> = (0..first.num_gaussians()).map(|g| weight(first, attribute, g)).collect();
-    let mut sorted = weights.clone();
-    sorted.sort_unstable_by(f64::total_cmp);
-    let median = sorted.get(sorted.len() / 2).copied().unwrap_or(1.0);
+    let median = upper_median(weights.iter().copied()).unwrap_or(1.0);
     let factor = |w: f64| (median / w).powf(settings.importance.into()).clamp(1.0 / MAX_FACTOR, MAX_FACTOR) as f32;
     weights.into_iter().map(factor).collect()
 }

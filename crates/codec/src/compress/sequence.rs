@@ -8,8 +8,9 @@ use std::collections::HashMap;
 use std::collections::hash_map::DefaultHasher;
 use std::hash::Hasher;
 
-use tcgs_core::{Attribute, DynamicGaussians, Gaussians, SceneReader, dot, normalize};
+use tcgs_core::{Attribute, DynamicGaussians, Gaussians, SceneReader, distance, dot, normalize, upper_median};
 
+use super::settings::middle;
 use super::statistics::read_one;
 use crate::compact::MAX_TIMESTEPS;
 use crate::error::CompressError;
@@ -206,12 +207,9 @@ fn hash(gaussians: &Gaussians, row: usize) -> u64 {
 
 /// Difference of two Gaussians; `None` if it is too large for a match.
 fn cost(before: &Gaussians, b: usize, now: &Gaussians, n: usize) -> Option<f32> {
-    let mut scales = before.log_scales()[b];
-    scales.sort_unstable_by(f32::total_cmp);
-    let unit = scales[1].exp().max(f32::MIN_POSITIVE);
+    let unit = middle(&before.log_scales()[b]).exp().max(f32::MIN_POSITIVE);
     let largest = |a: [f32; 3], b: [f32; 3]| (0..3).map(|i| (a[i] - b[i]).abs()).fold(0.0, f32::max);
-    let [p, q] = [before.means()[b], now.means()[n]];
-    let distance = (0..3).map(|i| (p[i] - q[i]).powi(2)).sum::<f32>().sqrt() / unit;
+    let distance = distance(before.means()[b], now.means()[n]) / unit;
     let scale = largest(before.log_scales()[b], now.log_scales()[n]);
     let logit = (before.logit_opacities()[b] - now.logit_opacities()[n]).abs();
     let color = largest(before.colors()[b], now.colors()[n]);
@@ -234,14 +232,7 @@ struct Grid {
 impl Grid {
     /// Makes cells as wide as the largest distance of a match at the median scale.
     fn new(gaussians: &Gaussians, is_member: &[bool]) -> Self {
-        let middle = |scales: &[f32; 3]| {
-            let mut scales = *scales;
-            scales.sort_unstable_by(f32::total_cmp);
-            scales[1]
-        };
-        let mut middles: Vec<f32> = gaussians.log_scales().iter().map(middle).collect();
-        let half = middles.len() / 2;
-        let typical = if middles.is_empty() { 0.0 } else { *middles.select_nth_unstable_by(half, f32::total_cmp).1 };
+        let typical = upper_median(gaussians.log_scales().iter().map(middle)).unwrap_or_default();
         let mut grid = Self { cell: (MAX_DISTANCE * typical.exp()).max(1e-6), cells: HashMap::new() };
         for (row, mean) in gaussians.means().iter().enumerate().filter(|(row, _)| is_member[*row]) {
             grid.cells.entry(grid.cell_of(*mean)).or_default().push(row as u32);

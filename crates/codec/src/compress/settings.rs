@@ -1,6 +1,6 @@
 //! [`CompressSettings`], and the bit map and step of positions that follow from the settings.
 
-use tcgs_core::{Attribute, Column, Gaussians, RateGroup};
+use tcgs_core::{Attribute, Column, Gaussians, RateGroup, upper_median};
 
 use super::order::ranks;
 use crate::bits::BitMap;
@@ -278,12 +278,10 @@ impl CompressSettings {
 
     /// Step of positions along all axes, if the settings choose it.
     pub(super) fn position_step(&self, first: &Gaussians) -> Option<f64> {
-        if self.position_fineness <= 0.0 || first.num_gaussians() == 0 {
+        if self.position_fineness <= 0.0 {
             return None;
         }
-        let mut axes: Vec<f32> = first.log_scales().iter().map(middle).collect();
-        let half = axes.len() / 2;
-        let axis = f64::from(*axes.select_nth_unstable_by(half, f32::total_cmp).1).exp();
+        let axis = f64::from(upper_median(first.log_scales().iter().map(middle))?).exp();
         Some(axis / f64::from(self.position_fineness))
     }
 }
@@ -296,7 +294,7 @@ fn position_bits([min, max]: [[f32; 3]; 2], step: f64) -> u8 {
 }
 
 /// The middle one of three.
-fn middle(values: &[f32; 3]) -> f32 {
+pub(super) fn middle(values: &[f32; 3]) -> f32 {
     let mut values = *values;
     values.sort_unstable_by(f32::total_cmp);
     values[1]

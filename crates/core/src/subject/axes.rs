@@ -3,7 +3,7 @@
 use std::array::from_fn;
 
 use super::quantile;
-use crate::{Camera, Gaussians, Pinhole, dot, sigmoid};
+use crate::{Camera, Gaussians, Pinhole, add_scaled, dot, sigmoid, sub};
 
 /// Weight of the guess from depths against the axes of the cameras. Axes that differ by less than 3 degrees leave the
 /// depth of their meeting point to the guess.
@@ -25,10 +25,10 @@ pub(super) fn meeting_point(gaussians: &Gaussians, cameras: &[Camera]) -> [f64; 
     };
     let depth = depth_seen(gaussians, cameras);
     let (center, forward) = (mean(&Camera::center), mean(&Camera::forward));
-    let guess: [f64; 3] = from_fn(|axis| center[axis] + depth * forward[axis]);
+    let guess = add_scaled(center, depth, forward);
     let drawn = |weight| nearest_to_axes(cameras, weight, guess);
     let meeting = drawn(NO_WEIGHT);
-    let is_before = |camera: &&Camera| dot(camera.forward(), super::from_camera(camera, meeting)) > 0.0;
+    let is_before = |camera: &&Camera| dot(camera.forward(), sub(meeting, camera.center())) > 0.0;
     if 2 * cameras.iter().filter(is_before).count() >= cameras.len() { drawn(PARALLEL) } else { guess }
 }
 

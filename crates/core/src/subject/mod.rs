@@ -7,7 +7,7 @@ mod shown;
 
 use self::axes::meeting_point;
 pub(crate) use self::axes::{PARALLEL, nearest_to_axes};
-use crate::{Camera, Extent, Gaussians, dot, sigmoid};
+use crate::{Camera, Extent, Gaussians, distance, sigmoid};
 
 /// A Gaussian moves if its motion exceeds this many times the median of all, which is the jitter of training.
 const JITTERS: f64 = 6.0;
@@ -79,7 +79,8 @@ impl Subject {
         match moving {
             Some((center, radius)) if cameras.is_empty() => {
                 let of_scene = DISTANCE * extent.radius.max(MIN_RADIUS);
-                let before = quantile(gaussians.means().iter().map(|&mean| (distance(mean, center), 1.0)), BEFORE);
+                let distances = gaussians.means().iter().map(|mean| (distance(mean.map(f64::from), center), 1.0));
+                let before = quantile(distances, BEFORE);
                 Self { center, radius, distance: (DISTANCE_OF_MOVING * radius).max(before).min(of_scene) }
             }
             Some((center, radius)) => Self { center, radius, distance: distance_of(cameras, center) },
@@ -109,7 +110,7 @@ impl Subject {
 /// ```
 pub fn add_motion(moved: &mut [f32], rows: impl IntoIterator<Item = (usize, [f32; 3], [f32; 3])>) {
     for (row, now, then) in rows {
-        moved[row] = moved[row].max(distance(then, now.map(f64::from)) as f32);
+        moved[row] = moved[row].max(distance(then.map(f64::from), now.map(f64::from)) as f32);
     }
 }
 
@@ -127,9 +128,9 @@ fn moving(gaussians: &Gaussians, moved: &[f32]) -> Option<([f64; 3], f64)> {
         return None;
     }
     let rows = gaussians.means().iter().zip(moved).zip(&opacity).filter(|((_, moved), _)| f64::from(**moved) > least);
-    let weighted: Vec<([f32; 3], f64)> =
-        rows.map(|((mean, moved), opacity)| (*mean, opacity * f64::from(*moved).min(fast))).collect();
-    let along = |axis: usize, share| quantile(weighted.iter().map(|(mean, w)| (f64::from(mean[axis]), *w)), share);
+    let weighted: Vec<([f64; 3], f64)> =
+        rows.map(|((mean, moved), opacity)| (mean.map(f64::from), opacity * f64::from(*moved).min(fast))).collect();
+    let along = |axis: usize, share| quantile(weighted.iter().map(|(mean, weight)| (mean[axis], *weight)), share);
     let center = std::array::from_fn(|axis| 0.5 * (along(axis, MIDDLE[0]) + along(axis, MIDDLE[1])));
     Some((center, quantile(weighted.iter().map(|&(mean, weight)| (distance(mean, center), weight)), WITHIN)))
 }
@@ -140,24 +141,13 @@ fn sees(camera: &Camera, point: [f64; 3]) -> bool {
     camera.project(point).is_some_and(|(place, _)| inside(place))
 }
 
-fn from_camera(camera: &Camera, point: [f64; 3]) -> [f64; 3] {
-    let center = camera.center();
-    std::array::from_fn(|axis| point[axis] - center[axis])
-}
-
 /// Distance of a camera from a point.
 fn far(camera: &Camera, point: [f64; 3]) -> f64 {
-    let offset = from_camera(camera, point);
-    dot(offset, offset).sqrt()
+    distance(camera.center(), point)
 }
 
 fn distance_of(cameras: &[Camera], point: [f64; 3]) -> f64 {
     median(cameras.iter().map(|camera| far(camera, point))).max(MIN_RADIUS)
-}
-
-fn distance(mean: [f32; 3], point: [f64; 3]) -> f64 {
-    let offset: [f64; 3] = std::array::from_fn(|axis| f64::from(mean[axis]) - point[axis]);
-    dot(offset, offset).sqrt()
 }
 
 fn median(values: impl Iterator<Item = f64>) -> f64 {
@@ -222,7 +212,7 @@ mod tests {
     }
 
     fn assert_near(subject: Subject, center: [f64; 3], within: f64) {
-        let far = (0..3).map(|i| (subject.center[i] - center[i]).powi(2)).sum::<f64>().sqrt();
+        let far = distance(subject.center, center);
         assert!(far < within, "{subject:?} is {far} from {center:?}");
     }
 

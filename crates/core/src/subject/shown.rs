@@ -1,7 +1,7 @@
 //! The share of a subject that a camera shows, and the choice of the first camera.
 
 use super::{Subject, far};
-use crate::{Activated, Camera, Pinhole, dot, rotmat_from_unit_quat};
+use crate::{Activated, Camera, Pinhole, add_scaled, dot, length, rotmat_from_unit_quat, sub};
 
 /// Rays of a view along each side of the square around the subject; those in its corners are left out.
 const RAYS: usize = 5;
@@ -38,11 +38,11 @@ impl Subject {
             places.iter().filter(|&&place| is_inside(place)).map(|&place| (pinhole.ray(place), [1.0; 2])).collect();
         let axis = pinhole.ray(middle);
         for i in 0..drawn.num_gaussians() {
-            let offset: [f64; 3] = std::array::from_fn(|k| f64::from(drawn.means[i][k]) - pinhole.center[k]);
+            let offset = sub(drawn.means[i].map(f64::from), pinhole.center);
             let z = dot(pinhole.forward(), offset);
             let reach = REACH * f64::from(drawn.scales[i].iter().copied().fold(0.0, f32::max));
-            let across: [f64; 3] = std::array::from_fn(|k| offset[k] - z * axis[k]);
-            if z > 0.0 && dot(across, across).sqrt() <= reach * dot(axis, axis).sqrt() + z * disc / camera.focal[0] {
+            let across = add_scaled(offset, -z, axis);
+            if z > 0.0 && length(across) <= reach * length(axis) + z * disc / camera.focal[0] {
                 let of_near = usize::from(z >= near);
                 for (ray, passes) in &mut rays {
                     let passing = 1.0 - alpha_along(*ray, offset, drawn, i);

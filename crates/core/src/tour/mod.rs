@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 
 use self::rig::Rig;
 use crate::subject::{DISTANCE, MIN_RADIUS};
-use crate::{Camera, Extent, Subject, dot, normalize};
+use crate::{Camera, Extent, Subject, add_scaled, cross, dot, normalize, sub};
 
 /// Horizontal field of view without cameras, radians.
 const FIELD_OF_VIEW: f64 = 1.1;
@@ -118,7 +118,7 @@ impl Tour {
 /// - `share`: share of its distance that remains
 fn closer(camera: &Camera, subject: &Subject, share: f64) -> Camera {
     let center = camera.center();
-    let position = std::array::from_fn(|i| subject.center[i] + share * (center[i] - subject.center[i]));
+    let position = add_scaled(subject.center, share, sub(center, subject.center));
     let [x, y, z, last] = camera.camera_from_world;
     let row = |[a, b, c, _]: [f64; 4]| [a, b, c, -dot([a, b, c], position)];
     Camera { camera_from_world: [row(x), row(y), row(z), last], ..camera.clone() }
@@ -138,17 +138,14 @@ pub fn upright_axes(up: [f64; 3]) -> [[f64; 3]; 3] {
     let up = normalize(up);
     let near = if up[2] == 0.0 { [0.0, 0.0, 1.0] } else { [0.0, 1.0, 0.0] };
     let along = dot(near, up);
-    let forward: [f64; 3] = normalize(std::array::from_fn(|i| near[i] - along * up[i]));
-    let right = std::array::from_fn(|i| {
-        let (j, k) = ((i + 1) % 3, (i + 2) % 3);
-        forward[j] * up[k] - forward[k] * up[j]
-    });
-    [right, up, forward]
+    let forward = normalize(add_scaled(near, -along, up));
+    [cross(forward, up), up, forward]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::length;
 
     #[test]
     fn tours_look_at_the_middle_from_around_it() {
@@ -183,7 +180,7 @@ mod tests {
             ] {
                 assert!((dot(a, b) - expected).abs() < 1e-9, "{up:?}");
             }
-            assert!((dot(upward, up) - dot(up, up).sqrt()).abs() < 1e-9, "{up:?}");
+            assert!((dot(upward, up) - length(up)).abs() < 1e-9, "{up:?}");
         }
     }
 }

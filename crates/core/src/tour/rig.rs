@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use super::upright_axes;
-use crate::{Camera, CameraPath, Subject, dot};
+use crate::{Camera, CameraPath, Subject, add_scaled, distance, dot, length, sub, upper_median};
 
 /// Cameras with a larger gap between two neighbours form an arc, not a ring, radians: 100 degrees.
 const MAX_GAP: f64 = 100.0 / 360.0 * TAU;
@@ -126,7 +126,7 @@ impl Rig {
             if stop > 0 {
                 let (from, before) = at(stop - 1);
                 let steps = ((to.angle - from.angle) / KEYFRAME).ceil().max(1.0);
-                let step = distance(before, camera).max(MIN_STEP) / steps;
+                let step = distance(before.center(), camera.center()).max(MIN_STEP) / steps;
                 for i in 1..steps as usize {
                     length += step;
                     let between = self.between((from, before), (to, camera), i as f64 / steps);
@@ -169,10 +169,10 @@ impl Rig {
     /// The point of a camera's axis that is nearest to the subject, or as far before the camera as the subject is.
     fn target(&self, camera: &Camera) -> [f64; 3] {
         let (center, forward) = (camera.center(), camera.forward());
-        let offset: [f64; 3] = std::array::from_fn(|i| self.subject[i] - center[i]);
-        let (along, far) = (dot(offset, forward), dot(offset, offset).sqrt());
+        let offset = sub(self.subject, center);
+        let (along, far) = (dot(offset, forward), length(offset));
         let depth = if along > 0.1 * far { along } else { far };
-        std::array::from_fn(|i| center[i] + depth * forward[i])
+        add_scaled(center, depth, forward)
     }
 
     /// The arc of the cameras, and the median of the share that they show.
@@ -181,10 +181,8 @@ impl Rig {
         let lacking = (MIN_ARC - (ends[1] - ends[0])).max(0.0) / 2.0;
         let first = order.iter().position(|&camera| camera == 0).map_or(0.0, |place| self.places[place].angle);
         let focal = std::array::from_fn(|i| {
-            let mut focal: Vec<f64> =
-                cameras.iter().map(|camera| camera.fitted(self.size[0], self.size[1]).focal[i]).collect();
-            focal.sort_by(f64::total_cmp);
-            focal[focal.len() / 2]
+            let focal = cameras.iter().map(|camera| camera.fitted(self.size[0], self.size[1]).focal[i]);
+            upper_median(focal).unwrap_or_default()
         });
         Course::Average { arc: [ends[0] - lacking, ends[1] + lacking], start: first, focal }
     }
@@ -227,16 +225,10 @@ const MIN_STEP: f64 = 1e-6;
 
 impl Place {
     fn of(camera: &Camera, subject: [f64; 3], [right, up, forward]: [[f64; 3]; 3]) -> Self {
-        let center = camera.center();
-        let offset: [f64; 3] = std::array::from_fn(|i| center[i] - subject[i]);
+        let offset = sub(camera.center(), subject);
         let (across, ahead) = (dot(offset, right), dot(offset, forward));
         Self { angle: across.atan2(-ahead), out: across.hypot(ahead), height: dot(offset, up) }
     }
-}
-
-fn distance(a: &Camera, b: &Camera) -> f64 {
-    let (a, b) = (a.center(), b.center());
-    (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>().sqrt()
 }
 
 /// Lengths are finite, like the numbers of cameras, so every keyframe is accepted.
@@ -349,7 +341,7 @@ mod tests {
                 .collect();
             let path = Tour::Orbit.among(&subject_at([0.0; 3]), &cameras, UP, 400, SIZE);
             for camera in &cameras {
-                let nearest = path.iter().map(|other| distance(other, camera)).fold(9.0, f64::min);
+                let nearest = path.iter().map(|other| distance(other.center(), camera.center())).fold(9.0, f64::min);
                 assert!(nearest < 0.05, "it misses a camera by {nearest}");
             }
             for camera in &path {
@@ -358,7 +350,7 @@ mod tests {
                 let ([x, y], _) = camera.project([0.0; 3]).expect("before the camera");
                 assert!((x - 32.0).hypot(y - 24.0) < 4.0, "past the subject, at {x}, {y}");
             }
-            let longest = path.windows(2).map(|pair| distance(&pair[0], &pair[1])).fold(0.0, f64::max);
+            let longest = path.windows(2).map(|pair| distance(pair[0].center(), pair[1].center())).fold(0.0, f64::max);
             assert!(longest < 0.1, "no jump of {longest}");
         }
         let around = standing([0, 90, 180, 270]);
@@ -369,7 +361,7 @@ mod tests {
     fn a_spiral_comes_closer() {
         let cameras = standing((0..12).map(|i| 30 * i));
         let path = Tour::Spiral.among(&subject_at([0.0; 3]), &cameras, UP, 36, SIZE);
-        let far = |camera: &Camera| camera.center().iter().map(|x| x * x).sum::<f64>().sqrt();
+        let far = |camera: &Camera| length(camera.center());
         assert!(path.windows(2).all(|pair| far(&pair[1]) < far(&pair[0])));
         assert!((2.9..3.1).contains(&far(&path[0])) && (1.9..2.2).contains(&far(&path[35])));
         path.iter().for_each(|camera| assert_aims(camera, [0.0; 3]));

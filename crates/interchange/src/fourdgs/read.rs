@@ -150,12 +150,9 @@ impl FourdgsFile {
         self.replaced.note().into_iter().collect()
     }
 
-    /// Size as plain 32-bit floats, as [`TimestepFiles::raw_bytes`](crate::TimestepFiles::raw_bytes).
+    /// Size as plain 32-bit floats ([`Layout::raw_bytes_of_changing`]).
     pub fn raw_bytes(&self) -> u64 {
-        if self.has_constant_number() {
-            return self.layout.raw_bytes(self.num_gaussians(), self.num_timesteps());
-        }
-        self.layout.raw_bytes_of_changing(self.numbers.iter().copied())
+        self.layout.raw_bytes_of_changing(&self.numbers)
     }
 
     /// The Gaussians at a timestep, in stored form and in the axes of PLY files.

@@ -1,7 +1,7 @@
 //! A node's placement of its mesh: a rotation, a scale and a translation, and their effect on Gaussians.
 
 use serde::Deserialize;
-use tcgs_core::{Gaussians, MAX_SH_DEGREE, dot, harmonics, normalize, quat_mul, rotmat_from_quat};
+use tcgs_core::{Gaussians, MAX_SH_DEGREE, cross, dot, harmonics, length, normalize, quat_mul, rotmat_from_quat};
 
 /// Tolerance of a matrix's columns against those of a scaled rotation, as a share of the scale: the rounding of floats.
 const TOLERANCE: f64 = 1e-4;
@@ -90,14 +90,13 @@ impl Given {
                 ([column(0), column(1), column(2)], self.translation.unwrap_or([0.0; 3]))
             }
         };
-        let lengths = columns.map(|column| dot(column, column).sqrt());
+        let lengths = columns.map(length);
         let scale = lengths[0];
         let axes = columns.map(normalize);
         let [a, b, c] = axes;
-        let across = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
         let is_even = lengths.iter().all(|length| (length - scale).abs() <= TOLERANCE * scale);
         // The third axis of a rotation is across the first two.
-        let is_rotation = dot(a, b).abs() <= TOLERANCE && (dot(across, c) - 1.0).abs() <= TOLERANCE;
+        let is_rotation = dot(a, b).abs() <= TOLERANCE && (dot(cross(a, b), c) - 1.0).abs() <= TOLERANCE;
         if !(is_even && is_rotation && scale > 0.0 && scale.is_finite() && translation.iter().all(|x| x.is_finite())) {
             return Err("is placed by another transform, expected a rotation, one scale and a translation".into());
         }

@@ -11,7 +11,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use tcgs_core::{DynamicGaussians, Gaussians, Layout, SceneReader, natural_key};
+use tcgs_core::{DynamicGaussians, Gaussians, Layout, SceneReader, distance, natural_key, sub, upper_median};
 
 use crate::gaussian_file::{FileKind, read_and_count, read_head};
 use crate::notes::ReplacedByTimestep;
@@ -168,13 +168,9 @@ impl TimestepFiles {
         self.first_frame
     }
 
-    /// Size as plain 32-bit floats. Where the number of Gaussians changes every timestep holds all columns; else as
-    /// [`Layout::raw_bytes`].
+    /// Size as plain 32-bit floats ([`Layout::raw_bytes_of_changing`]).
     pub fn raw_bytes(&self) -> u64 {
-        if self.has_constant_number() {
-            return self.layout.raw_bytes(self.num_gaussians(), self.num_timesteps());
-        }
-        self.layout.raw_bytes_of_changing(self.numbers.iter().copied())
+        self.layout.raw_bytes_of_changing(&self.numbers)
     }
 
     /// The Gaussians of one file, in its order.
@@ -291,19 +287,13 @@ fn first_frame(files: &[PathBuf]) -> Option<u32> {
 ///
 /// - `before`, `after`: `[N, 3]`, `N >= 1`
 fn jump(before: &[[f32; 3]], after: &[[f32; 3]]) -> f32 {
-    let axis = |points: &[[f32; 3]], axis: usize| median(points.iter().map(|p| p[axis]).collect());
-    let distance = |p: &[f32; 3], from: [f32; 3]| (0..3).map(|c| (p[c] - from[c]).powi(2)).sum::<f32>().sqrt();
-    let steps: Vec<[f32; 3]> = before.iter().zip(after).map(|(a, b)| std::array::from_fn(|c| b[c] - a[c])).collect();
+    let axis = |points: &[[f32; 3]], axis: usize| upper_median(points.iter().map(|p| p[axis])).unwrap_or_default();
+    let steps: Vec<[f32; 3]> = before.iter().zip(after).map(|(&a, &b)| sub(b, a)).collect();
     let (middle, common) = ([0, 1, 2].map(|c| axis(before, c)), [0, 1, 2].map(|c| axis(&steps, c)));
-    let size = median(before.iter().map(|p| distance(p, middle)).collect());
-    let step = median(steps.iter().map(|step| distance(step, common)).collect());
+    let size = upper_median(before.iter().map(|&p| distance(p, middle))).unwrap_or_default();
+    let step = upper_median(steps.iter().map(|&step| distance(step, common))).unwrap_or_default();
     // A scene without extent has no order to lose.
     if size > 0.0 { step / size } else { 0.0 }
-}
-
-fn median(mut values: Vec<f32>) -> f32 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f32::total_cmp).1
 }
 
 #[cfg(test)]

@@ -1,8 +1,8 @@
 //! LPIPS against values that another program computed with the same weights.
 
-use std::io::Write;
 use std::path::Path;
 
+use crate::skip;
 use tcgs_core::Image;
 use tcgs_metrics::{Backbone, InputRange, Lpips, Protocol};
 
@@ -15,12 +15,6 @@ fn weights() -> Option<Lpips> {
         return None;
     };
     Some(Lpips::read(Path::new(&path)).unwrap())
-}
-
-fn skip(why: &str) {
-    assert!(std::env::var_os("REQUIRE_GOLDEN").is_none(), "{why}");
-    // Written past the test harness's capture, so that a skip is visible.
-    let _ = writeln!(std::io::stderr(), "skipped: {why}");
 }
 
 fn image(path: &Path) -> Image {

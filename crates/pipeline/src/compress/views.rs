@@ -4,7 +4,7 @@ use std::path::Path;
 
 use tcgs_capture::Split;
 use tcgs_codec::{FileCamera, UpAxis, write_views};
-use tcgs_core::{Camera, Subject};
+use tcgs_core::{Camera, Subject, length};
 
 use super::CompressOptions;
 use crate::spread::spread;
@@ -51,7 +51,7 @@ pub fn up_axis(cameras: &[(usize, Camera)]) -> UpAxis {
     // The rows of a rotation from the world are the camera's axes in it; the second points down.
     let sum = |axis: usize| -> f64 { cameras.iter().map(|(_, camera)| -camera.camera_from_world[1][axis]).sum() };
     let mean = [0, 1, 2].map(|axis| sum(axis) / cameras.len().max(1) as f64);
-    let length = mean.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let length = length(mean);
     let axes = [[UpAxis::PlusX, UpAxis::MinusX], [UpAxis::PlusY, UpAxis::MinusY], [UpAxis::PlusZ, UpAxis::MinusZ]];
     let along = (0..3).find(|&axis| length > MIN_AGREEMENT && mean[axis].abs() > MIN_COSINE * length);
     along.map_or(UpAxis::Unknown, |axis| axes[axis][usize::from(mean[axis] < 0.0)])

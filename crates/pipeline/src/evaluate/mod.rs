@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 use tcgs_capture::{Capture, Split};
-use tcgs_core::{Image, View};
+use tcgs_core::{Image, View, upper_median};
 use tcgs_metrics::{
     Backbone, InputRange, Lpips, Protocol, dssim, flicker, ms_ssim, psnr, psnr_masked, psnr_per_channel, ssim,
 };
@@ -169,12 +169,11 @@ pub fn evaluate(
     while times_ms.len() < MIN_TIMED_RENDERS {
         times_ms.push(renderer.draw(&seen, &camera, &RenderSettings::default())?.1);
     }
-    times_ms.sort_by(f64::total_cmp);
     Ok(Evaluation {
         images,
         flicker: mean(flickers.into_iter().flatten()),
         size: [camera.width, camera.height],
-        median_render_ms: times_ms[times_ms.len() / 2],
+        median_render_ms: upper_median(times_ms).unwrap_or_default(),
         device: renderer.name(),
         changed_colors: capture.changes_colors(),
     })

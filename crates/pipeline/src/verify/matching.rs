@@ -3,7 +3,7 @@
 //! A file does not record the pairs. Encoders reorder Gaussians, and leave some out.
 
 use tcgs_codec::attribute_error;
-use tcgs_core::{Activation, Attribute, Column, Gaussians};
+use tcgs_core::{Activation, Attribute, Column, Gaussians, upper_median};
 
 use super::tree::Tree;
 
@@ -199,10 +199,8 @@ fn typical_difference(column: &Column, source: &Gaussians) -> f64 {
     let [rotation, scale, opacity, other] = TYPICAL;
     match (column.attribute, column.activation) {
         (Attribute::Mean, _) => {
-            let mut sizes: Vec<f32> = source.log_scales().iter().map(|of| of[0].max(of[1]).max(of[2])).collect();
-            let half = sizes.len() / 2;
-            let typical = if sizes.is_empty() { 0.0 } else { *sizes.select_nth_unstable_by(half, f32::total_cmp).1 };
-            f64::from(typical).exp().clamp(1e-30, 1e30)
+            let sizes = source.log_scales().iter().map(|of| of[0].max(of[1]).max(of[2]));
+            f64::from(upper_median(sizes).unwrap_or_default()).exp().clamp(1e-30, 1e30)
         }
         (Attribute::Quat, _) => rotation,
         (Attribute::LogScale, _) => scale,

@@ -13,9 +13,7 @@ use std::num::NonZero;
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
-use tcgs_core::{Camera, Image, Pinhole, dot};
-
-use super::median;
+use tcgs_core::{Camera, Image, Pinhole, add_scaled, dot, squared_distance, upper_median};
 
 /// Pixels from the centre of a group to its border, at each resolution.
 const RADIUS: f32 = 6.0;
@@ -135,9 +133,7 @@ impl<'a> Matches<'a> {
     fn pixel_extent(&self) -> Option<f32> {
         let some = self.movers.iter().step_by((self.movers.len() / 100).max(1));
         let extent = |pinhole: &Pinhole<f32>, point| Some(pinhole.project(point)?.1 / pinhole.focal[0]);
-        let extents: Vec<f32> =
-            some.flat_map(|mover| self.sights.iter().filter_map(|sight| extent(&sight.pinhole, mover.mean))).collect();
-        (!extents.is_empty()).then(|| median(&extents))
+        upper_median(some.flat_map(|mover| self.sights.iter().filter_map(|sight| extent(&sight.pinhole, mover.mean))))
     }
 
     /// Groups of Gaussians: one around each cell of a grid that holds a visible one.
@@ -358,7 +354,7 @@ impl Comparison<'_> {
         for _ in 0..STEPS {
             let from = at;
             for direction in DIRECTIONS {
-                at = compare(std::array::from_fn(|a| from[a] + step * direction[a]));
+                at = compare(add_scaled(from, step, direction));
             }
             if at == from {
                 step *= 0.5;
@@ -372,10 +368,6 @@ impl Comparison<'_> {
 /// Mean absolute difference of two colours.
 fn difference(a: [f32; 3], b: [f32; 3]) -> f32 {
     (0..3).map(|c| (a[c] - b[c]).abs()).sum::<f32>() / 3.0
-}
-
-fn squared_distance(a: [f32; 3], b: [f32; 3]) -> f32 {
-    (0..3).map(|i| (a[i] - b[i]).powi(2)).sum()
 }
 
 /// Groups by position, foreground and background apart.

@@ -23,14 +23,14 @@ mod nursery;
 mod pace;
 
 use rayon::prelude::*;
-use tcgs_core::{Activated, Camera, Image, View};
+use tcgs_core::{Activated, Camera, Image, View, distance, upper_median};
 use tcgs_render::{CpuRasterizer, Laps, RenderSettings, TileMask, tiles_reached};
 
 pub use self::activity::Trained;
 pub(crate) use self::activity::{Activity, Shares};
 #[cfg(test)]
 pub(crate) use self::evidence::NOISE_DEVIATIONS;
-pub(crate) use self::evidence::{Blocks, CONTRAST, median};
+pub(crate) use self::evidence::{Blocks, CONTRAST};
 use self::evidence::{changed_blocks, differences, noise_level, tile_errors, tiles_of};
 use self::matches::{Matches, Mover};
 pub(crate) use self::nursery::Nursery;
@@ -172,7 +172,7 @@ impl Gate {
                     estimates.push(noise_level(&differences));
                     let too_many = estimates.len().saturating_sub(NOISE_ESTIMATES);
                     estimates.drain(..too_many);
-                    let level = median(estimates);
+                    let level = upper_median(estimates.iter().copied()).unwrap_or_default();
                     let (width, height) = (target.image.width, target.image.height);
                     let mut blocks = changed_blocks(&differences, level + CONTRAST, width, height);
                     let limit = GROWTH + GROWTH_NOISE * level;
@@ -258,7 +258,7 @@ impl Gate {
             let seen = p.seen_by_camera(i, memory.pictures[i].clone());
             let mut blocks = Blocks::none(width, height);
             let differences = differences(&seen, &view.image);
-            let level = median(&self.record.noise[i]) + UNEXPLAINED_CONTRAST;
+            let level = upper_median(self.record.noise[i].iter().copied()).unwrap_or_default() + UNEXPLAINED_CONTRAST;
             for (index, difference) in differences.into_iter().enumerate() {
                 let tile = activity.tiles[i].of_pixel(blocks.pixel(index));
                 let limit = UNEXPLAINED_GROWTH * self.record.errors[i][tile] + level;
@@ -286,8 +286,7 @@ impl Gate {
         let p = &state.parameters;
         let (means, log_scales) = (p.gaussians.means(), p.gaussians.log_scales());
         let is_away = |i: usize| {
-            let distance = (0..3).map(|axis| (means[i][axis] - past.first.means[i][axis]).powi(2)).sum::<f32>().sqrt();
-            distance > log_scales[i].into_iter().fold(f32::MIN, f32::max).exp()
+            distance(means[i], past.first.means[i]) > log_scales[i].into_iter().fold(f32::MIN, f32::max).exp()
         };
         let is_masked = |i: usize| self.mask.enabled && mask(p.mask_logits[i], self.mask.threshold) == 0.0;
         let is_due = |&i: &usize| timestep.checked_sub(self.record.unseen[i] as usize).is_some_and(|t| t >= patience);

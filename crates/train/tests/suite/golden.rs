@@ -10,7 +10,8 @@ use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
 use tcgs_train::engine::cpu::{MotionPrior, PriorGrads, image_loss};
 use tcgs_train::{Neighbors, Parameters, WeightConfig, fake_quant_vjp, predict, scene_radius, step_gradient_scale};
 
-fn shared(name: &str) -> Option<PathBuf> {
+/// A file or folder that may not be passed on with the project. `None` skips the test, unless `REQUIRE_GOLDEN` is set.
+pub fn shared(name: &str) -> Option<PathBuf> {
     let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared")).join(name);
     if path.exists() {
         return Some(path);

@@ -4,33 +4,19 @@ use std::ops::ControlFlow;
 use std::sync::OnceLock;
 
 use crate::support::gpu;
-use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
+use crate::trainer::synthetic;
+use tcgs_capture::{Capture, Split};
 use tcgs_core::{Camera, View};
 use tcgs_render::gpu::Gpu;
 use tcgs_train::engine::cpu::CpuEngine;
 use tcgs_train::engine::gpu::GpuEngine;
 use tcgs_train::engine::{Engine, Step, Target};
 use tcgs_train::{Checkpoint, Parameters, Phase, Preset, Schedule, State, TrainConfig, Trainer};
+use tempfile::TempDir;
 
 fn capture() -> &'static Capture {
-    static CAPTURE: OnceLock<(tempfile::TempDir, Capture)> = OnceLock::new();
-    &CAPTURE
-        .get_or_init(|| {
-            let folder = tempfile::tempdir().unwrap();
-            let settings = SyntheticSettings {
-                width: 64,
-                height: 48,
-                num_train_cameras: 5,
-                num_test_cameras: 1,
-                num_timesteps: 3,
-                num_points: 1500,
-                ..SyntheticSettings::default()
-            };
-            write_synthetic(folder.path(), &settings).unwrap();
-            let capture = Capture::open(folder.path()).unwrap();
-            (folder, capture)
-        })
-        .1
+    static CAPTURE: OnceLock<(TempDir, Capture)> = OnceLock::new();
+    &CAPTURE.get_or_init(|| synthetic(3, 1500)).1
 }
 
 fn views(frame: usize) -> Vec<View> {

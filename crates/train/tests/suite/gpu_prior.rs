@@ -1,8 +1,6 @@
 //! The losses on motion on the GPU against those on the CPU, and against another program's vectors.
 
-use std::io::Write;
-use std::path::Path;
-
+use crate::golden::shared;
 use crate::support::{Random, gpu, packed, relative_l2};
 use tcgs_core::{Attribute, GaussianGrads, Gaussians};
 use tcgs_interchange::NpzReader;
@@ -259,14 +257,9 @@ fn gradients_add_to_those_that_stand_and_are_the_same_every_time() {
 
 #[test]
 fn losses_and_gradients_equal_the_reference() {
-    let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/golden/motion_prior.npz"));
-    if !path.exists() {
-        assert!(std::env::var_os("REQUIRE_GOLDEN").is_none(), "{} is required and absent", path.display());
-        let _ = writeln!(std::io::stderr(), "skipped: {} is absent", path.display());
-        return;
-    }
+    let Some(path) = shared("golden/motion_prior.npz") else { return };
     let Some(gpu) = gpu() else { return };
-    let mut archive = NpzReader::open(path).unwrap();
+    let mut archive = NpzReader::open(&path).unwrap();
     let is_foreground: Vec<bool> = archive.array_of("is_fg").unwrap().values;
     let mut get = |name: &str| -> Vec<f32> { archive.array_of(name).unwrap().values };
     let colors = get("colors");
@@ -291,7 +284,7 @@ fn losses_and_gradients_equal_the_reference() {
             ..WeightConfig::NONE
         };
         let (losses, v) = gpu_losses(&gpu, &motion, &weights, 0.0, 1);
-        let expected: Vec<f64> = NpzReader::open(path).unwrap().array_of(&format!("loss_{name}")).unwrap().values;
+        let expected: Vec<f64> = NpzReader::open(&path).unwrap().array_of(&format!("loss_{name}")).unwrap().values;
         assert!((values(&losses)[i] / expected[0] - 1.0).abs() < 1e-4, "{name}: {losses:?} against {expected:?}");
         for (found, key) in [(&v[..3 * n], format!("v_means_{name}")), (&v[3 * n..7 * n], format!("v_quats_{name}"))] {
             let error = relative_l2(found, &get(&key));

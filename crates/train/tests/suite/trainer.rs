@@ -12,26 +12,28 @@ use tcgs_train::{
     DensifyStep, GateRecord, GradientStatistic, LossTerms, MaskConfig, Parameters, Run, State, TrainConfig, TrainError,
     Trained, Trainer, densify, reset_opacities,
 };
+use tempfile::TempDir;
 
 fn capture() -> &'static Capture {
-    static CAPTURE: OnceLock<(tempfile::TempDir, Capture)> = OnceLock::new();
-    &CAPTURE
-        .get_or_init(|| {
-            let folder = tempfile::tempdir().unwrap();
-            let settings = SyntheticSettings {
-                width: 64,
-                height: 48,
-                num_train_cameras: 5,
-                num_test_cameras: 1,
-                num_timesteps: 4,
-                num_points: 3000,
-                ..SyntheticSettings::default()
-            };
-            write_synthetic(folder.path(), &settings).unwrap();
-            let capture = Capture::open(folder.path()).unwrap();
-            (folder, capture)
-        })
-        .1
+    static CAPTURE: OnceLock<(TempDir, Capture)> = OnceLock::new();
+    &CAPTURE.get_or_init(|| synthetic(4, 3000)).1
+}
+
+/// A tiny synthetic capture, and the folder that holds it.
+pub fn synthetic(num_timesteps: usize, num_points: usize) -> (TempDir, Capture) {
+    let folder = tempfile::tempdir().unwrap();
+    let settings = SyntheticSettings {
+        width: 64,
+        height: 48,
+        num_train_cameras: 5,
+        num_test_cameras: 1,
+        num_timesteps,
+        num_points,
+        ..SyntheticSettings::default()
+    };
+    write_synthetic(folder.path(), &settings).unwrap();
+    let capture = Capture::open(folder.path()).unwrap();
+    (folder, capture)
 }
 
 fn config() -> TrainConfig {

@@ -1,7 +1,10 @@
 //! A small capture in a temporary folder, for tests to spoil, and the folders of real captures.
 
+use std::fmt::Display;
 use std::io::Write;
 use std::path::{MAIN_SEPARATOR, Path, PathBuf};
+#[cfg(feature = "video")]
+use std::process::{Command, Stdio};
 
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, CaptureError};
@@ -16,13 +19,28 @@ pub const NUM_FRAMES: usize = 2;
 /// The folder of a real or rendered capture. `None` skips the test, unless `REQUIRE_GOLDEN` is set.
 pub fn real_folder(name: &str) -> Option<PathBuf> {
     let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join(name);
-    if path.is_dir() {
-        return Some(path);
+    if !path.is_dir() {
+        skip("REQUIRE_GOLDEN", format_args!("{} is absent", path.display()));
+        return None;
     }
-    assert!(std::env::var_os("REQUIRE_GOLDEN").is_none(), "{} is absent", path.display());
-    // Bypasses the output capture of passing tests, so that a skip is visible.
-    let _ = writeln!(std::io::stderr(), "skipped: {} is absent", path.display());
-    None
+    Some(path)
+}
+
+/// Whether `ffmpeg` is installed; without it a test is skipped, unless `REQUIRE_FFMPEG` is set.
+#[cfg(feature = "video")]
+pub fn has_ffmpeg() -> bool {
+    let found = Command::new("ffmpeg").arg("-version").stdout(Stdio::null()).status().is_ok();
+    if !found {
+        skip("REQUIRE_FFMPEG", "there is no ffmpeg");
+    }
+    found
+}
+
+/// Says that a test is skipped. Fails if the variable `requirement` is set: then no test may be skipped for this reason.
+fn skip(requirement: &str, reason: impl Display) {
+    assert!(std::env::var_os(requirement).is_none(), "{requirement} is set, and {reason}");
+    // Written past the test harness's capture, so that a skip is visible.
+    let _ = writeln!(std::io::stderr(), "skipped: {reason}");
 }
 
 /// Training cameras 1, 2, 4, 5; test camera 3. Two frames of 16x12 pixels.

@@ -3,6 +3,8 @@
 pub mod server;
 pub mod videos;
 
+use std::fmt::Display;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
@@ -42,6 +44,23 @@ pub fn tcgs() -> Command {
     // Each test itself decides whether LPIPS is measured.
     command.env_remove("TCGS_LPIPS_WEIGHTS");
     command
+}
+
+/// Says that a test is skipped. Fails if the variable `requirement` is set: then no test may be skipped for this reason.
+pub fn skip(requirement: &str, reason: impl Display) {
+    assert!(std::env::var_os(requirement).is_none(), "{requirement} is set, and {reason}");
+    // Written past the test harness's capture, so that a skip is visible.
+    let _ = writeln!(std::io::stderr(), "skipped: {reason}");
+}
+
+/// A file or folder that may not be passed on with the project. `None` skips the test, unless `REQUIRE_GOLDEN` is set.
+pub fn shared(name: &str) -> Option<PathBuf> {
+    let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared")).join(name);
+    if !path.exists() {
+        skip("REQUIRE_GOLDEN", format_args!("{} is absent", path.display()));
+        return None;
+    }
+    Some(path)
 }
 
 /// An argument for [`run`].

@@ -25,22 +25,22 @@ const MAX_SECTIONS: u32 = 1 << 20;
 const KNOWN: [Tag; 8] = [INFO, PLAN, MAPS, *b"MEAN", *b"QUAT", *b"SCAL", *b"OPAC", *b"COLR"];
 
 /// A section to be written.
-pub(in super::super) struct Part {
-    pub(in super::super) tag: Tag,
-    pub(in super::super) segment: u16,
-    pub(in super::super) layer: u16,
-    pub(in super::super) bytes: Vec<u8>,
+pub struct Part {
+    pub tag: Tag,
+    pub segment: u16,
+    pub layer: u16,
+    pub bytes: Vec<u8>,
 }
 
 impl Part {
     /// A section that belongs to no segment.
-    pub(in super::super) fn shared(tag: Tag, layer: usize, bytes: Vec<u8>) -> Self {
+    pub fn shared(tag: Tag, layer: usize, bytes: Vec<u8>) -> Self {
         Self { tag, segment: SHARED, layer: layer as u16, bytes }
     }
 }
 
 /// Writes a file section by section, and at the end its table of contents.
-pub(in super::super) struct Writer<'a, W> {
+pub struct Writer<'a, W> {
     file: &'a mut W,
     /// Position of the file's first byte.
     start: u64,
@@ -54,7 +54,7 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
     ///
     /// # Errors
     /// [`CompressError`] if there are more than 2^20 sections or the file cannot be written.
-    pub(in super::super) fn new(file: &'a mut W, num_sections: usize) -> Result<Self, CompressError> {
+    pub fn new(file: &'a mut W, num_sections: usize) -> Result<Self, CompressError> {
         let expected = MAX_SECTIONS as usize;
         if num_sections > expected {
             return Err(CompressError::Count { what: "sections".into(), found: num_sections, expected });
@@ -74,7 +74,7 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
     ///
     /// # Errors
     /// [`CompressError`] if the section is of 4 GiB or more, or the file cannot be written.
-    pub(in super::super) fn section(&mut self, part: &Part) -> Result<(), CompressError> {
+    pub fn section(&mut self, part: &Part) -> Result<(), CompressError> {
         let (found, expected) = (part.bytes.len(), u32::MAX as usize);
         let too_long = |_| CompressError::Count { what: "bytes of a section".into(), found, expected };
         let length = u32::try_from(found).map_err(too_long)?;
@@ -93,7 +93,7 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
     ///
     /// # Panics
     /// If the number of sections written differs from that given to [`Self::new`].
-    pub(in super::super) fn finish(mut self) -> Result<(), CompressError> {
+    pub fn finish(mut self) -> Result<(), CompressError> {
         assert_eq!(self.header.len(), header_bytes(self.num_sections), "bytes of the table of contents");
         let checksum = header_checksum(&self.header);
         self.header[CHECKSUM_AT..FIXED_BYTES].copy_from_slice(&checksum.to_le_bytes());
@@ -139,7 +139,7 @@ pub(super) fn length_of_header(mut cursor: Cursor<'_>, found: usize) -> Result<O
 /// Opens a file from its first bytes.
 ///
 /// - `header`: its length is that of [`length_of_header`]
-pub(in super::super) fn open(header: &[u8], start: &[u8], limits: &DecodeLimits) -> Result<Opening, DecodeError> {
+pub fn open(header: &[u8], start: &[u8], limits: &DecodeLimits) -> Result<Opening, DecodeError> {
     let entries = read_header(header)?;
     let head_end = entries.iter().filter(|e| e.tag == INFO || e.tag == PLAN).map(|e| e.range.end).max();
     let head_end = head_end.unwrap_or(header.len() as u64);

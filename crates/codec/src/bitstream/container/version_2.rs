@@ -29,7 +29,7 @@ const HAS_LIVES: u8 = 1;
 /// Flag of a cohort: drawn with antialiasing, like all others of the file.
 const IS_ANTIALIASED: u8 = 2;
 /// Problem of a file in which only some cohorts are antialiased.
-pub(in super::super) const MIXED: &str = "antialiased, unlike another cohort, or the other way round";
+pub const MIXED: &str = "antialiased, unlike another cohort, or the other way round";
 
 /// Length of the header; `None` if the bytes end before it.
 ///
@@ -42,7 +42,7 @@ pub(super) fn length_of_header(mut cursor: Cursor<'_>, found: usize) -> Result<O
     Ok(Some(header_bytes(cursor.u16("number of sections")?.into())))
 }
 
-pub(in super::super) fn header_bytes(num_sections: usize) -> usize {
+pub fn header_bytes(num_sections: usize) -> usize {
     FIXED_BYTES + num_sections * ENTRY_BYTES
 }
 
@@ -57,7 +57,7 @@ fn header_checksum(header: &[u8]) -> u32 {
 /// Opens a file from its first bytes.
 ///
 /// - `header`: its length is that of [`length_of_header`]
-pub(in super::super) fn open(header: &[u8], start: &[u8], limits: &DecodeLimits) -> Result<Opening, DecodeError> {
+pub fn open(header: &[u8], start: &[u8], limits: &DecodeLimits) -> Result<Opening, DecodeError> {
     let mut cursor = Cursor::new("header", 0, header);
     cursor.take("header", 8)?;
     let length = cursor.u64("length of the file")?;
@@ -170,7 +170,7 @@ fn write_places(places: &[Place]) -> Vec<u8> {
 /// - `shared`: the plan that it shares with another cohort; `None` if it has its own
 /// - `bytes`: start at the head
 /// - `length`: of the file
-pub(in super::super) fn read_head(
+pub fn read_head(
     index: usize,
     place: &Place,
     info: Arc<Info>,
@@ -267,12 +267,12 @@ pub(in super::super) fn read_head(
 }
 
 /// An encoded cohort without a position in the file.
-pub(in super::super) struct Encoded {
-    pub(in super::super) head: Head,
+pub struct Encoded {
+    pub head: Head,
     /// The shared layers, section by section.
-    pub(in super::super) shared: Vec<Vec<u8>>,
+    pub shared: Vec<Vec<u8>>,
     /// Every segment, section by section; empty if nothing varies.
-    pub(in super::super) segments: Vec<Vec<Vec<u8>>>,
+    pub segments: Vec<Vec<Vec<u8>>>,
 }
 
 /// Sort key of a piece in the file: the first timestep at which it is needed, the cohort, and the segment. `None` is
@@ -288,7 +288,7 @@ struct OpenHead {
 }
 
 /// Writes a file cohort by cohort. Memory holds the encoded segments that start after the cohort added last.
-pub(in super::super) struct Writer<'a, W> {
+pub struct Writer<'a, W> {
     file: &'a mut W,
     /// Position of the file's first byte.
     start: u64,
@@ -312,7 +312,7 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
     ///
     /// # Errors
     /// [`CompressError`] if there are too many cohorts or sections, or the file cannot be written.
-    pub(in super::super) fn new(
+    pub fn new(
         file: &'a mut W,
         info: Info,
         further: &[(Tag, Vec<u8>)],
@@ -354,17 +354,17 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
     }
 
     /// Description of the whole scene.
-    pub(in super::super) fn info(&self) -> &Info {
+    pub fn info(&self) -> &Info {
         &self.info
     }
 
     /// [`Self::info`] for changes before [`Self::finish`] writes it; its encoded length must stay the same.
-    pub(in super::super) fn info_mut(&mut self) -> &mut Info {
+    pub fn info_mut(&mut self) -> &mut Info {
         &mut self.info
     }
 
     /// Extends the bounding box of the scene to that of a cohort.
-    pub(in super::super) fn extend_bounds(&mut self, [low, high]: [[f32; 3]; 2]) {
+    pub fn extend_bounds(&mut self, [low, high]: [[f32; 3]; 2]) {
         let before = self.info.bounds;
         let is_first = self.places.is_empty();
         for i in 0..3 {
@@ -374,7 +374,7 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
     }
 
     /// The plans of the cohorts so far that have their own.
-    pub(in super::super) fn plans(&self) -> impl Iterator<Item = &Arc<Plan>> {
+    pub fn plans(&self) -> impl Iterator<Item = &Arc<Plan>> {
         let own = self.places.iter().enumerate().filter(|(index, place)| place.plan as usize == *index);
         own.map(|(index, _)| &self.plans[index])
     }
@@ -386,7 +386,7 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
     ///
     /// # Panics
     /// If there are more cohorts than were announced to [`Self::new`], or one begins before the one added last.
-    pub(in super::super) fn add(&mut self, cohort: Encoded) -> Result<(), CompressError> {
+    pub fn add(&mut self, cohort: Encoded) -> Result<(), CompressError> {
         let (head, index) = (cohort.head, self.places.len());
         assert!(index < self.num_cohorts, "cohort {index} of {}", self.num_cohorts);
         assert!(self.places.last().is_none_or(|last| last.start as usize <= head.start), "cohorts ascend");
@@ -466,7 +466,7 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
     ///
     /// # Panics
     /// If there are fewer cohorts than were announced to [`Self::new`].
-    pub(in super::super) fn finish(mut self) -> Result<(), CompressError> {
+    pub fn finish(mut self) -> Result<(), CompressError> {
         assert_eq!(self.places.len(), self.num_cohorts, "cohorts");
         self.write_before(usize::MAX)?;
         let (info, cohorts) = (write_info_2(&self.info), write_places(&self.places));

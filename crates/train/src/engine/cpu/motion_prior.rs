@@ -16,7 +16,8 @@ use std::sync::Arc;
 use multiversion::multiversion;
 use rayon::prelude::*;
 use tcgs_core::{
-    Real, dot, normalize, normalize_vjp, quat_conjugate, quat_mul, rotmat_from_unit_quat, rotmat_from_unit_quat_vjp,
+    Real, cross, dot, normalize, normalize_vjp, quat_conjugate, quat_mul, rotmat_from_unit_quat,
+    rotmat_from_unit_quat_vjp,
 };
 
 use crate::losses::{LossTerms, ROOT_EPSILON, WeightConfig};
@@ -399,11 +400,6 @@ fn turn<R: Real>(w: R, axis: [R; 3], v: [R; 3]) -> [R; 3] {
     let cc = cross(axis, c);
     let two = R::of(2.0);
     [v[0] + two * (w * c[0] + cc[0]), v[1] + two * (w * c[1] + cc[1]), v[2] + two * (w * c[2] + cc[2])]
-}
-
-#[inline(always)]
-fn cross<R: Real>(a: [R; 3], b: [R; 3]) -> [R; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 #[inline(always)]

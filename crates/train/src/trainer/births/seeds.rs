@@ -9,9 +9,9 @@ use std::collections::BTreeMap;
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
-use tcgs_core::{Image, Pinhole, View};
+use tcgs_core::{Image, Pinhole, View, upper_median};
 
-use crate::gate::{Blocks, median};
+use crate::gate::Blocks;
 
 /// Number of depths tested on a ray, evenly spaced in their inverse.
 const DEPTHS: usize = 128;
@@ -163,11 +163,7 @@ fn mean_color(image: &Image, x: usize, y: usize) -> [f32; 3] {
 ///
 /// - `most`: at least 1
 fn thinned(seeds: Vec<Seed>, most: usize) -> Vec<Seed> {
-    if seeds.is_empty() {
-        return seeds;
-    }
-    let spacings: Vec<f32> = seeds.iter().map(|seed| seed.spacing).collect();
-    let mut edge = median(&spacings);
+    let Some(mut edge) = upper_median(seeds.iter().map(|seed| seed.spacing)) else { return seeds };
     // Starting at their corner: a grid as wide as the seeds has a single cell.
     let corner: [f32; 3] =
         std::array::from_fn(|i| seeds.iter().map(|seed| seed.position[i]).fold(f32::INFINITY, f32::min));
