@@ -1,7 +1,8 @@
 //! The data types of every tcgs crate: Gaussians, cameras, views, images and elementwise maths.
 //!
 //! What lives here: the data types that pass between crates, and maths on single elements (vectors, quaternions,
-//! activations, spherical harmonics). The maths is generic over [`Real`]: one source is run in `f32` and differentiated in `f64`.
+//! activations, spherical harmonics). The maths is generic over [`Real`]: one source is run in `f32` and differentiated
+//! in `f64`.
 //! Three small jobs live here, too: the order of numbered names, text made safe for a terminal, and reading files of
 //! bounded size. What does not: formats of files, rendering, optimisation, compression.
 //!

@@ -59,14 +59,14 @@ pub struct Removal<'a> {
 
 /// Gaussians that stay when as many are removed as the images allow.
 ///
-/// A Gaussian outside of all images stays, because no image tells whether it is needed. So does one that is hidden from the
-/// training cameras alone, as the wall behind a person: cameras between them show it.
+/// A Gaussian outside of all images stays, because no image tells whether it is needed. So does one that only cameras
+/// between the training cameras show, such as a piece of the wall behind a person.
 ///
 /// - `timesteps`: with the same Gaussians, at least one
 /// - returns: indices, ascending
 pub fn needed(timesteps: &[TimestepViews<'_>], removal: &Removal<'_>) -> Vec<usize> {
     let mut errors = vec![0.0; timesteps[0].gaussians.num_gaussians()];
-    // Of training images, and of pictures from between.
+    // Largest shares of training images, and of pictures from between.
     let mut largest = [errors.clone(), errors.clone()];
     let mut is_in_images = vec![false; errors.len()];
     let num_between = NUM_BETWEEN.div_ceil(timesteps.len());
@@ -272,7 +272,7 @@ mod tests {
             });
             let corrections = &[[[0.0; 3]; 2]; 2];
             let timestep = TimestepViews { gaussians, is_hidden: &[false; 4], views: &views, corrections };
-            needed(&[timestep], &Removal { share: 1e9, most: 0.25, costs: None, seed: 3 })
+            needed(&[timestep], &Removal { share: 1e9, most: 0.4, costs: None, seed: 3 })
         };
         // Each camera has one of the first two before the third. From half-way it shows between them.
         assert_eq!(stay(&behind(0.0).into()), [0, 1, 2], "the fourth is in the images, and the only one that may go");

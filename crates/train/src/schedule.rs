@@ -33,7 +33,7 @@ pub struct Rates {
     pub color: f32,
     /// Rate of colours that do not vary with time: the coefficients of spherical harmonics.
     pub harmonic: f32,
-    /// Pixels that a Gaussian has to cover for its colours to move at about their rate; 0 in [`Phase::Rest`].
+    /// Pixels that a Gaussian has to cover for its colours to move at about their rate; 0 but in [`Phase::First`].
     pub color_damping: f32,
     /// Rate of the logit opacities; 0 in [`Phase::Rest`].
     pub logit_opacity: f32,
@@ -69,8 +69,8 @@ impl Rates {
 
     /// Adam's ε of a column.
     ///
-    /// - `num_pixels`: of the training image, whose loss is a mean: a Gaussian that covers one pixel has a gradient to its
-    ///   colours of about one in so many
+    /// - `num_pixels`: of the training image. Its loss is a mean, so a Gaussian that covers one pixel has a gradient to its
+    ///   colours of about 1 / `num_pixels`
     pub fn epsilon_of(&self, column: &Column, num_pixels: usize) -> f32 {
         match column.rate {
             RateGroup::Color => EPSILON + self.color_damping / (3 * num_pixels) as f32,
@@ -158,7 +158,7 @@ impl Schedule {
                     quat: r.quat * scale * decay,
                     color: r.color * decay,
                     harmonic: r.harmonic * decay * constant,
-                    color_damping: r.color_damping,
+                    color_damping: if phase == Phase::First { r.color_damping } else { 0.0 },
                     logit_opacity: r.logit_opacity * decay * constant,
                     log_scale: r.log_scale * scale * decay * constant,
                     // All Gaussians share the cameras.

@@ -14,11 +14,11 @@ use crate::PipelineError;
 
 /// Timesteps at which is looked, at most.
 const NUM_TIMESTEPS: usize = 30;
-/// Pictures from between the cameras, of all timesteps together. What only they show was hidden from the training cameras,
-/// and refinement cannot bring it back.
+/// Pictures from between the cameras, of all timesteps together. Refinement cannot bring back Gaussians that only these
+/// pictures show.
 const NUM_BETWEEN: usize = 48;
 
-/// What is seen of a Gaussian.
+/// How much is seen of a Gaussian.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Seen {
     /// The largest number of pixels that it makes up at a timestep, in images and pictures from between, as a share of

@@ -36,7 +36,8 @@ pub fn has_ffmpeg() -> bool {
     found
 }
 
-/// Says that a test is skipped. Fails if the variable `requirement` is set: then no test may be skipped for this reason.
+/// Says that a test is skipped. Fails if the variable `requirement` is set: then no test may be skipped for this
+/// reason.
 fn skip(requirement: &str, reason: impl Display) {
     assert!(std::env::var_os(requirement).is_none(), "{requirement} is set, and {reason}");
     // Written past the test harness's capture, so that a skip is visible.

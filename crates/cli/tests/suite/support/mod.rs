@@ -46,7 +46,8 @@ pub fn tcgs() -> Command {
     command
 }
 
-/// Says that a test is skipped. Fails if the variable `requirement` is set: then no test may be skipped for this reason.
+/// Says that a test is skipped. Fails if the variable `requirement` is set: then no test may be skipped for this
+/// reason.
 pub fn skip(requirement: &str, reason: impl Display) {
     assert!(std::env::var_os(requirement).is_none(), "{requirement} is set, and {reason}");
     // Written past the test harness's capture, so that a skip is visible.
