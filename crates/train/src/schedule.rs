@@ -321,7 +321,9 @@ mod tests {
 
     #[test]
     fn only_colors_of_the_first_timestep_are_damped() {
-        let s = schedule(1000, 100, Preset::Default);
+        let mut config = TrainConfig::default();
+        config.rates.color_damping = 0.3;
+        let s = Schedule::new(&config, 2.0);
         let epsilon = |phase, attribute| s.rates(phase, 0).epsilon_of(&Column::like(attribute), 100);
         assert_eq!(epsilon(Phase::First, Attribute::Color), EPSILON + 0.3 / 300.0);
         assert_eq!([epsilon(Phase::First, Attribute::Mean), epsilon(Phase::Rest, Attribute::Color)], [EPSILON; 2]);

@@ -51,9 +51,9 @@ pub struct RateConfig {
     pub color: f32,
     /// Coefficients of spherical harmonics, first timestep only. Default 1.25e-4, a twentieth of `color` (Kerbl et al. 2023).
     pub harmonic: f32,
-    /// Pixels that a Gaussian has to cover for its colours to move at about their rate. Adam makes full steps for the
-    /// smallest gradient, so a Gaussian that hardly shows takes any colour, and other cameras see it. Reference 0;
-    /// default 0.3.
+    /// Pixels that a Gaussian has to cover for its colours to move at about their rate, first timestep only. Adam makes full
+    /// steps for the smallest gradient, so a Gaussian that hardly shows takes any colour, and other cameras see it.
+    /// Default 0 (reference): none.
     pub color_damping: f32,
     /// Colours after the first timestep. Reference 2.5e-3; default 5e-4, so that colours do not
     /// wander and their tracks stay simple.

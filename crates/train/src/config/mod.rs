@@ -204,7 +204,6 @@ impl TrainConfig {
                 config.rates.motion_decay = 0.02;
                 config.rates.reset_steps = true;
                 config.rates.step = 0.002;
-                config.rates.color_damping = 0.3;
                 config.rates.color_rest = 5e-4;
                 config.rates.camera_centered = true;
                 // Less of what holds motion together, and much less of outlines, at which Gaussians would gather.
