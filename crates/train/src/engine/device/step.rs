@@ -316,6 +316,7 @@ mod tests {
         };
         let (mut state, mut config) = (State::new(parameters), TrainConfig::default());
         config.mask.enabled = true;
+        config.rates.color_damping = 0.3;
         let rates = Schedule::new(&config, 1.0).rates(Phase::First, 0);
         let (weights, mask) = (&config.weights, &config.mask);
         let step = Step { camera: 0, rates, weights, mask, counts_gradients: false, moves_gaussians: true };
