@@ -19,7 +19,7 @@ const LOOKS_AT: f64 = -0.5;
 /// Farthest that a camera is moved out, relative to its distance from the point that its neighbours look at.
 const MAX_OUTWARD: f64 = 2.0;
 
-/// Cameras between each camera and two of its nearest neighbours. Between cameras on a dome they stand on the dome, too.
+/// Cameras between each camera and two of its nearest neighbours. Between cameras on a dome they stand on the dome.
 /// They form a sequence without end, which fills the space between the cameras more and more densely.
 ///
 /// - `of`: positions in the sequence; neighbouring positions belong to different cameras
@@ -46,8 +46,8 @@ pub fn cameras_between(cameras: &[Camera], of: Range<usize>) -> Vec<Camera> {
     of.filter_map(|position| if cameras.is_empty() { None } else { mix(position) }).collect()
 }
 
-/// The camera between three. Its distance from the point that they look at is their mean distance, so that it stands on a
-/// dome, not inside.
+/// The camera between three. Its distance from the point that they look at is their mean distance. It would
+/// stand inside of their dome otherwise.
 fn mixed(cameras: &[Camera; 3], weights: [f64; 3], [width, height]: [usize; 2]) -> Option<Camera> {
     let mean = |values: [f64; 3]| dot(values, weights);
     let numbers = cameras.each_ref().map(|camera| numbers_of(&camera.fitted(width, height)));

@@ -259,7 +259,7 @@ impl Layout {
         num_gaussians as u64 * per_gaussian as u64
     }
 
-    /// [`Self::raw_bytes`] of a scene in which the number of Gaussians may change. Where it does every timestep has all
+    /// [`Self::raw_bytes`] of a scene in which the number of Gaussians may change. If it does, every timestep has all
     /// columns, because Gaussians of different timesteps are not known to be the same.
     ///
     /// - `num_gaussians`: at every timestep

@@ -26,7 +26,7 @@ const SMALL: usize = 90;
 
 /// How many times as large a Gaussian's share of a picture from between has to be as its share of any training image,
 /// so that it stays.
-const HIDDEN: f32 = 4.0;
+const FROM_BETWEEN: f32 = 4.0;
 
 /// Without the statistic of densification.
 const SETTINGS: RenderSettings = RenderSettings { background: [0.0; MAX_CHANNELS], statistic_channels: 0 };
@@ -82,7 +82,7 @@ pub fn needed(timesteps: &[TimestepViews<'_>], removal: &Removal<'_>) -> Vec<usi
         }
     }
     let [of_images, of_between] = largest;
-    let may_go = |&i: &usize| is_in_images[i] && of_between[i] <= HIDDEN * of_images[i];
+    let may_go = |&i: &usize| is_in_images[i] && of_between[i] <= FROM_BETWEEN * of_images[i];
     let mut order: Vec<usize> = (0..errors.len()).filter(may_go).collect();
     if let Some(costs) = removal.costs {
         errors.iter_mut().zip(costs).for_each(|(error, cost)| *error /= cost);

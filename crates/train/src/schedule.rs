@@ -2,7 +2,6 @@
 
 use tcgs_core::{Column, RateGroup};
 
-use crate::adam::EPSILON;
 use crate::config::{REFERENCE_ITERATIONS, TrainConfig};
 
 /// Learning rate of the young for columns that are constant over time, relative to that of the newborn. These columns
@@ -33,8 +32,6 @@ pub struct Rates {
     pub color: f32,
     /// Rate of colours that do not vary with time: the coefficients of spherical harmonics.
     pub harmonic: f32,
-    /// Pixels that a Gaussian has to cover for its colours to move at about their rate; 0 but in [`Phase::First`].
-    pub color_damping: f32,
     /// Rate of the logit opacities; 0 in [`Phase::Rest`].
     pub logit_opacity: f32,
     /// Rate of the log scales; 0 in [`Phase::Rest`].
@@ -64,17 +61,6 @@ impl Rates {
             RateGroup::LogitOpacity => self.logit_opacity,
             RateGroup::Color if column.varies => self.color,
             RateGroup::Color => self.harmonic,
-        }
-    }
-
-    /// Adam's ε of a column.
-    ///
-    /// - `num_pixels`: of the training image. Its loss is a mean, so a Gaussian that covers one pixel has a gradient to its
-    ///   colours of about 1 / `num_pixels`
-    pub fn epsilon_of(&self, column: &Column, num_pixels: usize) -> f32 {
-        match column.rate {
-            RateGroup::Color => EPSILON + self.color_damping / (3 * num_pixels) as f32,
-            _ => EPSILON,
         }
     }
 }
@@ -158,7 +144,6 @@ impl Schedule {
                     quat: r.quat * scale * decay,
                     color: r.color * decay,
                     harmonic: r.harmonic * decay * constant,
-                    color_damping: if phase == Phase::First { r.color_damping } else { 0.0 },
                     logit_opacity: r.logit_opacity * decay * constant,
                     log_scale: r.log_scale * scale * decay * constant,
                     // All Gaussians share the cameras.
@@ -179,7 +164,6 @@ impl Schedule {
                     quat: r.quat * motion,
                     color: r.color_rest * cosine(r.motion_decay),
                     harmonic: 0.0,
-                    color_damping: 0.0,
                     logit_opacity: 0.0,
                     log_scale: 0.0,
                     camera: 0.0,
@@ -274,8 +258,6 @@ pub(crate) fn cosine(end: f32, progress: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use tcgs_core::Attribute;
-
     use super::*;
     use crate::config::Preset;
 
@@ -317,17 +299,5 @@ mod tests {
         assert!((s.rates(Phase::First, 0).mask - 0.01 * 10.0 / 1.5).abs() < 1e-6);
         assert!((s.rates(Phase::Rest, 0).mean - 3.2e-4 * 20.0 / 3.0).abs() < 1e-8);
         assert!(s.rates(Phase::Rest, 299).mean < 0.05 * s.rates(Phase::Rest, 0).mean);
-    }
-
-    #[test]
-    fn only_colors_of_the_first_timestep_are_damped() {
-        let mut config = TrainConfig::default();
-        config.rates.color_damping = 0.3;
-        let s = Schedule::new(&config, 2.0);
-        let epsilon = |phase, attribute| s.rates(phase, 0).epsilon_of(&Column::like(attribute), 100);
-        assert_eq!(epsilon(Phase::First, Attribute::Color), EPSILON + 0.3 / 300.0);
-        assert_eq!([epsilon(Phase::First, Attribute::Mean), epsilon(Phase::Rest, Attribute::Color)], [EPSILON; 2]);
-        let reference = schedule(1000, 100, Preset::Paper).rates(Phase::First, 0);
-        assert_eq!(reference.epsilon_of(&Column::like(Attribute::Color), 100), EPSILON);
     }
 }

@@ -55,14 +55,13 @@ impl Optimizer {
     ///
     /// - `values`: `[n * components]` of the first `n` Gaussians, updated in place
     /// - `v_values`: likewise, their gradient
-    /// - `[rate, epsilon]`: as [`adam`] takes them
     ///
     /// # Panics
     /// If lengths differ, or there are fewer Gaussians.
-    pub fn update(&mut self, attribute: Attribute, values: &mut [f32], v_values: &[f32], [rate, epsilon]: [f32; 2]) {
+    pub fn update(&mut self, attribute: Attribute, values: &mut [f32], v_values: &[f32], rate: f32) {
         let (first, second) = (self.first.values_mut(attribute), self.second.values_mut(attribute));
         let (first, second) = (&mut first[..values.len()], &mut second[..values.len()]);
-        adam(values, v_values, first, second, &mut self.steps[attribute.index()], rate, epsilon);
+        adam(values, v_values, first, second, &mut self.steps[attribute.index()], rate);
     }
 
     /// Sets the moments of a column to zero, as [`Moments::clear`] does.

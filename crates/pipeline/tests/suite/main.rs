@@ -1,4 +1,4 @@
-//! What programs call, from captures and scenes to files.
+//! The calls of other programs, from captures and scenes to files.
 
 // Test helpers may unwrap, like tests.
 #![allow(clippy::unwrap_used)]

@@ -3,24 +3,17 @@
 use std::fs;
 use std::ops::ControlFlow;
 
-use tcgs_capture::{Capture, SyntheticSettings, write_synthetic};
+use tcgs_capture::{Capture, write_synthetic};
 use tcgs_pipeline::{Backend, Event, Work, fit, new_trainer, settings_for};
 use tcgs_train::{Preset, Run};
+
+use crate::support::SMALL;
 
 #[test]
 fn iterations_that_a_timestep_does_not_take_count_as_done() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("capture");
-    let small = SyntheticSettings {
-        width: 48,
-        height: 36,
-        num_train_cameras: 4,
-        num_test_cameras: 1,
-        num_timesteps: 3,
-        num_points: 300,
-        seed: 0,
-    };
-    write_synthetic(&path, &small).unwrap();
+    write_synthetic(&path, &SMALL).unwrap();
     // In the second timestep nothing moves.
     for camera in fs::read_dir(path.join("ims")).unwrap() {
         let camera = camera.unwrap().path();

@@ -29,7 +29,7 @@ const RATE: Bounds = Number(0.0, 1e38);
 const WEIGHT: Bounds = Number(0.0, FACTOR);
 
 /// Every setting by its dotted name, in the order of `config.toml`.
-const BOUNDS: [(&str, Bounds); 74] = [
+const BOUNDS: [(&str, Bounds); 73] = [
     ("preset", Any),
     ("seed", Any),
     ("data.capture", Any),
@@ -46,7 +46,6 @@ const BOUNDS: [(&str, Bounds); 74] = [
     ("rates.mean", RATE),
     ("rates.color", RATE),
     ("rates.harmonic", RATE),
-    ("rates.color_damping", RATE),
     ("rates.color_rest", RATE),
     ("rates.quat", RATE),
     ("rates.logit_opacity", RATE),

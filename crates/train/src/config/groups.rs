@@ -51,10 +51,6 @@ pub struct RateConfig {
     pub color: f32,
     /// Coefficients of spherical harmonics, first timestep only. Default 1.25e-4, a twentieth of `color` (Kerbl et al. 2023).
     pub harmonic: f32,
-    /// Pixels that a Gaussian has to cover for its colours to move at about their rate, first timestep only. Adam makes full
-    /// steps for the smallest gradient, so a Gaussian that hardly shows takes any colour, and other cameras see it.
-    /// Default 0 (reference): none.
-    pub color_damping: f32,
     /// Colours after the first timestep. Reference 2.5e-3; default 5e-4, so that colours do not
     /// wander and their tracks stay simple.
     pub color_rest: f32,
@@ -209,7 +205,7 @@ pub struct BirthConfig {
     pub share: f32,
     /// Iterations of a timestep in which they learn all their attributes, if all views see them. Default 200.
     pub iterations: usize,
-    /// Timesteps after that of their birth in which they go on doing so, as far as the gate finds that they move or change.
+    /// Timesteps after their birth in which they still learn all attributes, if the gate finds that they move or change.
     /// After these, opacity, scales and harmonics stay. Default 16.
     pub youth: usize,
     /// Mean NDC gradient from which a newborn is cloned or split after half of its iterations, with the other settings of

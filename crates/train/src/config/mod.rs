@@ -145,7 +145,6 @@ impl TrainConfig {
                 mean: 1.6e-4,
                 color: 2.5e-3,
                 harmonic: 1.25e-4,
-                color_damping: 0.0,
                 color_rest: 2.5e-3,
                 quat: 1e-3,
                 logit_opacity: 0.05,

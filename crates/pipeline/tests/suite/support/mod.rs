@@ -12,6 +12,17 @@ use tcgs_pipeline::{
 };
 use tcgs_train::{Preset, Run};
 
+/// The capture of the tests.
+pub const SMALL: SyntheticSettings = SyntheticSettings {
+    width: 48,
+    height: 36,
+    num_train_cameras: 4,
+    num_test_cameras: 1,
+    num_timesteps: 3,
+    num_points: 300,
+    seed: 0,
+};
+
 /// A folder with `capture`, `run` of three timesteps, `params.npz`, `scene.tcgs` and `plys`; tests do not write to it.
 pub fn files() -> &'static Path {
     static FILES: OnceLock<tempfile::TempDir> = OnceLock::new();
@@ -19,16 +30,7 @@ pub fn files() -> &'static Path {
         .get_or_init(|| {
             let folder = tempfile::tempdir().unwrap();
             let path = |name: &str| folder.path().join(name);
-            let small = SyntheticSettings {
-                width: 48,
-                height: 36,
-                num_train_cameras: 4,
-                num_test_cameras: 1,
-                num_timesteps: 3,
-                num_points: 300,
-                seed: 0,
-            };
-            write_synthetic(&path("capture"), &small).unwrap();
+            write_synthetic(&path("capture"), &SMALL).unwrap();
             let capture = Capture::open(&path("capture")).unwrap();
             let mut config = settings_for(Preset::Fast, &capture);
             (config.schedule.first_iterations, config.schedule.rest_iterations) = (12, 6);

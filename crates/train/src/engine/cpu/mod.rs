@@ -283,9 +283,8 @@ impl CpuEngine {
         let rates = &step.rates;
         if step.moves_gaussians {
             let layout = Arc::clone(p.gaussians.layout());
-            let num_pixels = self.targets[step.camera].image.num_pixels();
             for column in layout.columns() {
-                let (attribute, rate) = (column.attribute, [rates.of(column), rates.epsilon_of(column, num_pixels)]);
+                let (attribute, rate) = (column.attribute, rates.of(column));
                 let count = num_active * column.components();
                 let v = &grads.gaussians.values(attribute)[..count];
                 o.update(attribute, &mut p.gaussians.values_mut(attribute)[..count], v, rate);

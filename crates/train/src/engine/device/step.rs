@@ -226,42 +226,40 @@ impl StepUniform {
     }
 }
 
-/// Adam's factors for one group, as a shader reads them: `(step size, correction, epsilon, 0)`.
+/// Adam's factors for one group, as a shader reads them: `(step size, correction, 0, 0)`.
 ///
 /// - `rate`: learning rate; 0 leaves the group as it is
-/// - `epsilon`: `ε`, in units of the gradient
 /// - `count`: updates including this one, from 1
-pub fn adam_rates(rate: f32, epsilon: f32, count: u64) -> [f32; 4] {
+pub fn adam_rates(rate: f32, count: u64) -> [f32; 4] {
     let [step_size, correction] = adam_factors(rate, count);
-    [step_size, correction, epsilon, 0.0]
+    [step_size, correction, 0.0, 0.0]
 }
 
 /// Counts an iteration for Adam; the device does not.
 ///
-/// - `num_pixels`: of the training image
 /// - returns: [`adam_rates`] of every group, 0 for a group that does not move
-pub(crate) fn count_updates(step: &Step<'_>, num_pixels: usize, packing: &Packing, state: &mut State) -> Vec<[f32; 4]> {
+pub(crate) fn count_updates(step: &Step<'_>, packing: &Packing, state: &mut State) -> Vec<[f32; 4]> {
     let (has_quantizers, learned_offset) =
         state.quantizers.as_ref().map_or((false, false), |q| (!q.quantizers.is_empty(), q.learned_offset));
     let (o, rates, moves) = (&mut state.optimizer, &step.rates, step.moves_gaussians);
     let mut counted = vec![[0.0; 4]; packing.num_groups()];
-    let mut count = |group: usize, updates: &mut u64, [rate, epsilon]: [f32; 2], is_on: bool| {
+    let mut count = |group: usize, updates: &mut u64, rate: f32, is_on: bool| {
         if is_on {
             *updates += 1;
-            counted[group] = adam_rates(rate, epsilon, *updates);
+            counted[group] = adam_rates(rate, *updates);
         }
     };
     for column in packing.layout().columns() {
         let group = column.attribute.index();
-        count(group, &mut o.steps[group], [rates.of(column), rates.epsilon_of(column, num_pixels)], moves);
+        count(group, &mut o.steps[group], rates.of(column), moves);
     }
     let small = |group| packing.small_group(group);
-    count(small(SmallGroup::Mask), &mut o.mask.step, [rates.mask, EPSILON], moves && step.mask.enabled);
-    count(small(SmallGroup::Gains), &mut o.gains.step, [rates.camera, EPSILON], rates.camera > 0.0);
-    count(small(SmallGroup::Offsets), &mut o.offsets.step, [rates.camera, EPSILON], rates.camera > 0.0);
-    count(small(SmallGroup::Steps), &mut o.quantizer_steps.step, [rates.step, EPSILON], has_quantizers);
+    count(small(SmallGroup::Mask), &mut o.mask.step, rates.mask, moves && step.mask.enabled);
+    count(small(SmallGroup::Gains), &mut o.gains.step, rates.camera, rates.camera > 0.0);
+    count(small(SmallGroup::Offsets), &mut o.offsets.step, rates.camera, rates.camera > 0.0);
+    count(small(SmallGroup::Steps), &mut o.quantizer_steps.step, rates.step, has_quantizers);
     let offsets = has_quantizers && learned_offset;
-    count(small(SmallGroup::QuantizerOffsets), &mut o.quantizer_offsets.step, [rates.step, EPSILON], offsets);
+    count(small(SmallGroup::QuantizerOffsets), &mut o.quantizer_offsets.step, rates.step, offsets);
     counted
 }
 
@@ -289,6 +287,7 @@ pub(crate) fn source(packing: &Packing, constants: Wgsl) -> Wgsl {
         .constant("LOSS_VALUES", LOSS_VALUES)
         .constant("BETA1", BETA1)
         .constant("BETA2", BETA2)
+        .constant("EPSILON", EPSILON)
 }
 
 #[cfg(test)]
@@ -316,19 +315,17 @@ mod tests {
         };
         let (mut state, mut config) = (State::new(parameters), TrainConfig::default());
         config.mask.enabled = true;
-        config.rates.color_damping = 0.3;
         let rates = Schedule::new(&config, 1.0).rates(Phase::First, 0);
         let (weights, mask) = (&config.weights, &config.mask);
         let step = Step { camera: 0, rates, weights, mask, counts_gradients: false, moves_gaussians: true };
-        let counted = count_updates(&step, 10, &packing, &mut state);
+        let counted = count_updates(&step, &packing, &mut state);
         assert_eq!((counted.len(), &state.optimizer.steps[..]), (11, &[1; 6][..]));
-        for (group, rate) in [(0, rates.mean), (6, rates.mask), (7, rates.camera)] {
-            assert_eq!(counted[group], adam_rates(rate, EPSILON, 1), "{group}");
+        for (group, rate) in [(0, rates.mean), (4, rates.color), (6, rates.mask), (7, rates.camera)] {
+            assert_eq!(counted[group], adam_rates(rate, 1), "{group}");
         }
-        assert_eq!(counted[4], adam_rates(rates.color, rates.color_damping / 30.0, 1));
         assert_eq!((counted[9], counted[10], state.optimizer.quantizer_steps.step), ([0.0; 4], [0.0; 4], 0));
         let still = Step { moves_gaussians: false, ..step };
-        assert_eq!(count_updates(&still, 10, &packing, &mut state)[0], [0.0; 4]);
+        assert_eq!(count_updates(&still, &packing, &mut state)[0], [0.0; 4]);
         assert_eq!((state.optimizer.steps[0], state.optimizer.gains.step), (1, 2));
     }
 

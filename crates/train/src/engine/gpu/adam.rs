@@ -78,7 +78,7 @@ mod tests {
     use tcgs_core::{Layout, normalize};
 
     use super::*;
-    use crate::adam::{EPSILON, Moments};
+    use crate::adam::Moments;
     use crate::engine::device::{StepUniform, adam_rates};
     use crate::engine::gpu::test_support::{assert_close, gpu, random, run, uniform};
 
@@ -132,7 +132,7 @@ mod tests {
                 ..StepUniform::default()
             };
             for group in 0..6 {
-                rates[group] = adam_rates(RATES[group], EPSILON, moments[group].step + 1);
+                rates[group] = adam_rates(RATES[group], moments[group].step + 1);
                 let range = starts[group]..starts[group] + COMPONENTS[group] * n;
                 let moves = case.flags & StepUniform::MOVES != 0
                     && (group < 5 || case.flags & StepUniform::MASKED != 0)

@@ -159,10 +159,9 @@ impl GpuEngine {
             segmented: targets.segmented,
             part: self.parts.as_ref().map(|parts| parts.place(step.camera)),
         };
-        let num_pixels = camera.width * camera.height;
         let uniform = StepUniform::of(step, view, self.state.host());
         self.state.advance();
-        let rates = count_updates(step, num_pixels, &self.memory.loaded().model.packing, self.state.host_mut());
+        let rates = count_updates(step, &self.memory.loaded().model.packing, self.state.host_mut());
         Request { uniform, rates, camera: step.camera }
     }
 
