@@ -196,7 +196,6 @@ impl Statistics {
 
     /// These statistics with every decision about constant tracks made uncertain.
     #[cfg(test)]
-    #[cfg(test)]
     pub(super) fn all_uncertain(self) -> Self {
         Self { uncertainty: f64::INFINITY, ..self }
     }

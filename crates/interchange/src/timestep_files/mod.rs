@@ -279,7 +279,7 @@ fn first_frame(files: &[PathBuf]) -> Option<u32> {
         stem.parse().ok().filter(|_| stem.bytes().all(|byte| byte.is_ascii_digit()))
     };
     let first = number(files.first()?)?;
-    let counts_up = files.iter().zip(first..).all(|(file, expected)| number(file) == Some(expected));
+    let counts_up = files.iter().zip(0..).all(|(file, i)| number(file) == first.checked_add(i));
     counts_up.then_some(first)
 }
 
