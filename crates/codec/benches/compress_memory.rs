@@ -31,7 +31,7 @@ impl SceneReader for Made {
         self.base.layout()
     }
 
-    fn num_gaussians(&self) -> usize {
+    fn num_gaussians_at(&self, _: usize) -> usize {
         self.base.num_gaussians()
     }
 

@@ -19,7 +19,7 @@ use tcgs_codec::{
     BitMap, CompactScene, CompressSettings, Contemporaries, DecodeLimits, FileWriter, SceneFile, SceneInfo,
     SegmentCache, compress_reader, contemporaries,
 };
-use tcgs_core::{DynamicGaussians, Gaussians, Layout, SceneReader};
+use tcgs_core::{DynamicGaussians, Gaussians, Layout, Life, Lives, SceneReader};
 
 /// Longest life of the lowest level, timesteps.
 const SHORTEST: usize = 40;
@@ -42,10 +42,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         let (num_timesteps, bits) = (cohort.timesteps.len() as u32, BitMap::uniform(num_gaussians, 16, 6));
         let of_cohort = SceneInfo { num_gaussians: num_gaussians as u32, num_timesteps, ..info.clone() };
         let (compact, order) = compress_reader(&mut scene, &bits, None, of_cohort, &CompressSettings::default())?;
-        let start = cohort.timesteps.start as u32;
-        let of = |&g: &usize| lives[cohort.gaussians[g]].map(|t| (t - start) as u16);
-        raw += order.iter().map(of).map(|[a, b]| 40 * u64::from(b - a + 1) + 16).sum::<u64>();
-        let compact = CompactScene { start, ..compact.with_lives(order.iter().map(of).collect()) };
+        let (start, end) = (cohort.timesteps.start as u32, cohort.timesteps.end as u32);
+        let own: Lives = order.iter().map(|&g| lives[cohort.gaussians[g]].within(start..end)).collect();
+        raw += own.iter().map(|life| 40 * u64::from(life.death - life.birth) + 16).sum::<u64>();
+        let compact = CompactScene { start, ..compact.with_lives(own) };
         writer.add(&compact)?;
     }
     writer.finish()?;
@@ -77,32 +77,32 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// First and last timesteps: some Gaussians live throughout, some for a fifth of the time, most for a moment.
-fn lives(num_timesteps: u32, size: f64) -> Vec<[u32; 2]> {
-    let last = num_timesteps - 1;
-    let mut lives = vec![[0, last]; (20_000.0 * size) as usize];
+/// Some Gaussians live throughout, some for a fifth of the time, most for a moment.
+fn lives(num_timesteps: u32, size: f64) -> Lives {
+    let mut lives = vec![Life { birth: 0, death: num_timesteps }; (20_000.0 * size) as usize];
     // Number alive at a time, and mean length of a life.
     for (alive, length) in [(15_000.0 * size, num_timesteps / 5), (15_000.0 * size, num_timesteps / 65)] {
         let length = length.max(1);
         let count = (alive * f64::from(num_timesteps) / f64::from(length)) as u32;
         lives.extend((0..count).map(|i| {
             let birth = (f64::from(i) / f64::from(count) * f64::from(num_timesteps)) as u32;
-            [birth, (birth + length / 2 + (random(i.into()) * length as f32) as u32).min(last)]
+            let last = birth + length / 2 + (random(i.into()) * length as f32) as u32;
+            Life { birth, death: (last + 1).min(num_timesteps) }
         }));
     }
-    lives
+    Lives(lives)
 }
 
 /// Gaussians of a cohort, made on request.
 struct Made<'a> {
-    lives: &'a [[u32; 2]],
+    lives: &'a Lives,
     cohort: &'a Contemporaries,
     /// Gaussians at the beginnings of their lives.
     first: Gaussians,
 }
 
 impl<'a> Made<'a> {
-    fn new(lives: &'a [[u32; 2]], cohort: &'a Contemporaries) -> Self {
+    fn new(lives: &'a Lives, cohort: &'a Contemporaries) -> Self {
         let mut first = Gaussians::zeros(cohort.gaussians.len());
         for (row, &g) in cohort.gaussians.iter().enumerate() {
             let r = |i: u64| random(g as u64 * 16 + i) - 0.5;
@@ -123,7 +123,7 @@ impl SceneReader for Made<'_> {
         self.first.layout()
     }
 
-    fn num_gaussians(&self) -> usize {
+    fn num_gaussians_at(&self, _: usize) -> usize {
         self.cohort.gaussians.len()
     }
 
@@ -135,13 +135,13 @@ impl SceneReader for Made<'_> {
     fn at(&mut self, timestep: usize) -> Result<Gaussians, Infallible> {
         let (timestep, mut now) = (self.cohort.timesteps.start + timestep, self.first.clone());
         for (row, &g) in self.cohort.gaussians.iter().enumerate() {
-            let [birth, death] = self.lives[g].map(|t| t as usize);
+            let [birth, death] = [self.lives[g].birth, self.lives[g].death].map(|t| t as usize);
             // Gaussians born at timestep 0 stand still.
             if birth == 0 {
                 continue;
             }
             let r = |i: u64| random(g as u64 * 16 + i) - 0.5;
-            let age = (timestep.clamp(birth, death) - birth) as f32;
+            let age = (timestep.clamp(birth, death - 1) - birth) as f32;
             let angle = age * (0.05 + 0.1 * r(6)) + 6.0 * r(7);
             let path = [angle.cos(), angle.sin(), (0.7 * angle).cos()];
             (0..3).for_each(|i| now.means_mut()[row][i] += 0.3 * path[i] + 0.01 * r(8 + i as u64) * age);

@@ -6,7 +6,7 @@
 
 use std::sync::Arc;
 
-use tcgs_core::{Attribute, DynamicGaussians, Gaussians, Layout, normalize};
+use tcgs_core::{Attribute, DynamicGaussians, Gaussians, Layout, Life, Lives, normalize};
 
 use crate::bits::BitMap;
 use crate::error::CompressError;
@@ -250,9 +250,9 @@ pub struct CompactScene {
     pub info: SceneInfo,
     /// Timestep of the whole scene at which timestep 0 of this one lies; 0 in a file of version 1.
     pub start: u32,
-    /// `[N]` first and last timestep at which each Gaussian lives; `None` if all live in all timesteps, as in a file of
+    /// `[N]` lives, within the timesteps of this scene; `None` if all Gaussians live at all of them, as in a file of
     /// version 1.
-    pub lives: Option<Vec<[u16; 2]>>,
+    pub lives: Option<Lives>,
     /// Width of the codes of every attribute of every Gaussian, in bits. Width 0 marks a column beyond
     /// [`Attribute::BASE`] that the Gaussian lacks: its values are 0.
     pub bit_map: BitMap,
@@ -318,8 +318,7 @@ impl CompactScene {
 
     /// Whether a Gaussian lives at a timestep of this scene.
     pub fn is_alive(&self, gaussian: usize, timestep: usize) -> bool {
-        let life = self.lives.as_ref().map(|lives| lives[gaussian].map(usize::from));
-        life.is_none_or(|[first, last]| (first..=last).contains(&timestep))
+        self.lives.as_ref().is_none_or(|lives| lives[gaussian].contains(timestep))
     }
 
     /// The Gaussians that live at a timestep of the whole scene, with the values of [`Self::at`]; `None` if the cohort
@@ -327,8 +326,7 @@ impl CompactScene {
     pub fn alive_at(&self, timestep: usize) -> Option<Gaussians> {
         let now = timestep.checked_sub(self.start as usize).filter(|&now| now < self.num_timesteps())?;
         let all = self.at(now);
-        let alive = self.lives.as_ref().map(|lives| (0..lives.len()).filter(|&g| self.is_alive(g, now)).collect());
-        Some(alive.map_or(all.clone(), |alive: Vec<usize>| all.select(&alive)))
+        Some(self.lives.as_ref().map_or(all.clone(), |lives| all.select(&lives.living(now))))
     }
 
     /// `[N * components]` values of one attribute at one timestep.
@@ -372,7 +370,7 @@ impl CompactScene {
             return Err(Violation { attribute: None, field: "columns", problem });
         }
         if let Some(lives) = &self.lives {
-            let is_legal = |&[first, last]: &[u16; 2]| first <= last && usize::from(last) < self.num_timesteps();
+            let is_legal = |life: &Life| life.birth < life.death && life.death <= self.info.num_timesteps;
             if lives.len() != self.num_gaussians() || !lives.iter().all(is_legal) {
                 let problem = "not one within the timesteps for each Gaussian";
                 return Err(Violation { attribute: None, field: "lives", problem });
@@ -431,18 +429,13 @@ impl CompactScene {
     }
 
     fn check_times(&self, attribute: Attribute, gaussian: usize, times: &[u16]) -> Result<(), &'static str> {
-        let life = self.lives.as_ref().map(|lives| lives[gaussian]);
-        let [birth, death] = life.unwrap_or([0, (self.num_timesteps() - 1) as u16]);
+        let life = self.lives.as_ref().map_or(Life { birth: 0, death: self.info.num_timesteps }, |l| l[gaussian]);
         match times {
             [] => Err("a track without keypoints"),
             [0] => Ok(()),
             _ if !self.varies[attribute.index()] => Err("several keypoints of an attribute that does not vary"),
-            &[first, .., last] if [first, last] == [birth, death] => {
-                if times.is_sorted_by(|a, b| a < b) {
-                    Ok(())
-                } else {
-                    Err("not increasing")
-                }
+            &[first, .., last] if [first.into(), u32::from(last) + 1] == [life.birth, life.death] => {
+                if times.is_sorted_by(|a, b| a < b) { Ok(()) } else { Err("not increasing") }
             }
             _ => Err("not from the first to the last timestep of a life"),
         }

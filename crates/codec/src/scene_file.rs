@@ -51,8 +51,8 @@ pub struct SceneFile<R> {
     archive: Archive,
     /// Bound on the memory of a cohort's segments.
     max_segment_bytes: usize,
-    /// Largest number of Gaussians that live at a timestep.
-    most_gaussians: usize,
+    /// Upper bound on the number of Gaussians that live at a timestep.
+    max_gaussians: usize,
     /// The cohorts that live at the timestep read last.
     cohorts: BTreeMap<usize, OpenCohort>,
     /// The light, once it has been read.
@@ -100,6 +100,11 @@ impl<R> SceneFile<R> {
     /// Which columns the Gaussians have.
     pub fn layout(&self) -> &Arc<Layout> {
         &self.layout
+    }
+
+    /// Upper bound on the number of Gaussians at any timestep, such as for buffers.
+    pub fn max_gaussians(&self) -> usize {
+        self.max_gaussians
     }
 
     /// Memory of the segments in the caches, in bytes.
@@ -174,7 +179,7 @@ impl<R: Read + Seek> SceneFile<R> {
             num_layers: None,
             loss: None,
             layout: Layout::base(),
-            most_gaussians: most_gaussians(&archive),
+            max_gaussians: max_gaussians(&archive),
             archive,
             max_segment_bytes,
             cohorts: BTreeMap::new(),
@@ -193,7 +198,7 @@ impl<R: Read + Seek> SceneFile<R> {
             if let Some(num_layers) = num_layers {
                 let layers = file.cohorts[&0].cohort.layers();
                 file.info.num_gaussians = layers[..num_layers].iter().sum();
-                (file.most_gaussians, file.num_layers) = (file.info.num_gaussians as usize, Some(num_layers));
+                (file.max_gaussians, file.num_layers) = (file.info.num_gaussians as usize, Some(num_layers));
             }
         }
         if file.archive.num_cohorts() > 0 {
@@ -420,7 +425,7 @@ impl<R: Read + Seek> SceneFile<R> {
 }
 
 /// Largest total number of Gaussians in the cohorts that live at one timestep.
-fn most_gaussians(archive: &Archive) -> usize {
+fn max_gaussians(archive: &Archive) -> usize {
     let mut changes: BTreeMap<usize, i64> = BTreeMap::new();
     for cohort in 0..archive.num_cohorts() {
         let (span, count) = (archive.timesteps_of(cohort), archive.num_gaussians_of(cohort) as i64);
@@ -442,15 +447,15 @@ impl<R: Read + Seek> SceneReader for SceneFile<R> {
         &self.layout
     }
 
-    fn num_gaussians(&self) -> usize {
-        self.most_gaussians
+    fn num_identities(&self) -> Option<usize> {
+        Some(self.info.num_gaussians as usize)
     }
 
     /// Number of Gaussians in the cohorts that live at a timestep: an upper bound, since lives within a cohort are
     /// unknown before it is read.
     fn num_gaussians_at(&self, timestep: usize) -> usize {
         let of = |cohort| self.archive.num_gaussians_of(cohort);
-        if self.num_layers.is_some() { self.most_gaussians } else { self.archive.cohorts_at(timestep).map(of).sum() }
+        if self.num_layers.is_some() { self.max_gaussians } else { self.archive.cohorts_at(timestep).map(of).sum() }
     }
 
     fn num_timesteps(&self) -> usize {

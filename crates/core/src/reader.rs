@@ -15,9 +15,6 @@ pub trait SceneReader {
     /// The columns of its Gaussians.
     fn layout(&self) -> &Arc<Layout>;
 
-    /// `N`: at every timestep, or where [`Self::num_gaussians_at`] says otherwise the most at any.
-    fn num_gaussians(&self) -> usize;
-
     /// `T`.
     fn num_timesteps(&self) -> usize;
 
@@ -25,15 +22,22 @@ pub trait SceneReader {
     ///
     /// # Panics
     /// If `timestep` is not below [`Self::num_timesteps`], where the number changes.
-    fn num_gaussians_at(&self, timestep: usize) -> usize {
-        let _ = timestep;
-        self.num_gaussians()
+    fn num_gaussians_at(&self, timestep: usize) -> usize;
+
+    /// Number of identities: of all Gaussians that live at some timestep. None if it is unknown which Gaussian of one
+    /// timestep is which of another.
+    ///
+    /// A reader without own lives takes rows for identities if all timesteps have the same number of Gaussians.
+    fn num_identities(&self) -> Option<usize> {
+        let mut counts = (0..self.num_timesteps()).map(|timestep| self.num_gaussians_at(timestep));
+        let first = counts.next().unwrap_or(0);
+        counts.all(|count| count == first).then_some(first)
     }
 
-    /// Whether all timesteps have the same number of Gaussians. If they do not, the Gaussians of different timesteps
-    /// have no known correspondence.
-    fn has_constant_number(&self) -> bool {
-        (0..self.num_timesteps()).all(|timestep| self.num_gaussians_at(timestep) == self.num_gaussians())
+    /// Whether all Gaussians live at all timesteps.
+    fn all_live(&self) -> bool {
+        let identities = self.num_identities();
+        (0..self.num_timesteps()).all(|timestep| identities == Some(self.num_gaussians_at(timestep)))
     }
 
     /// The timesteps that come at little more cost together with `timestep`, which is one of them: a segment of a
@@ -59,12 +63,12 @@ impl SceneReader for &DynamicGaussians {
         DynamicGaussians::layout(self)
     }
 
-    fn num_gaussians(&self) -> usize {
-        DynamicGaussians::num_gaussians(self)
-    }
-
     fn num_timesteps(&self) -> usize {
         DynamicGaussians::num_timesteps(self)
+    }
+
+    fn num_gaussians_at(&self, _: usize) -> usize {
+        self.num_gaussians()
     }
 
     fn at(&mut self, timestep: usize) -> Result<Gaussians, Infallible> {
@@ -86,10 +90,6 @@ mod tests {
             &self.1
         }
 
-        fn num_gaussians(&self) -> usize {
-            self.0.iter().copied().max().unwrap_or(0)
-        }
-
         fn num_gaussians_at(&self, timestep: usize) -> usize {
             self.0[timestep]
         }
@@ -104,12 +104,13 @@ mod tests {
     }
 
     #[test]
-    fn a_number_is_constant_if_all_timesteps_have_it() {
+    fn all_live_if_all_timesteps_have_all_identities() {
         let changing = |numbers: &[usize]| Changing(numbers.to_vec(), Layout::base());
-        assert!(changing(&[3, 3]).has_constant_number() && changing(&[]).has_constant_number());
-        assert!(!changing(&[3, 2]).has_constant_number() && !changing(&[2, 3, 3]).has_constant_number());
+        assert!(changing(&[3, 3]).all_live() && changing(&[]).all_live());
+        assert!(!changing(&[3, 2]).all_live() && !changing(&[2, 3, 3]).all_live());
+        assert_eq!([&[3, 3][..], &[3, 2]].map(|numbers| changing(numbers).num_identities()), [Some(3), None]);
         let mut scene = DynamicGaussians::default();
         scene.push(Gaussians::zeros(4));
-        assert_eq!(((&scene).num_gaussians_at(0), (&scene).has_constant_number()), (4, true));
+        assert_eq!(((&scene).num_gaussians_at(0), (&scene).all_live()), (4, true));
     }
 }

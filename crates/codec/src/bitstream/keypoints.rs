@@ -209,9 +209,9 @@ impl KeypointModels {
         let units = components / out.channels;
         let mut count_before = 0;
         for g in place.layer.clone() {
-            let lives = place.shared.lives.as_ref().map(|lives| lives[g].map(usize::from));
-            let [birth, death] = lives.unwrap_or([0, place.num_timesteps - 1]);
-            let span = place.span.start.max(birth)..place.span.end.min(death + 1);
+            let life = place.shared.lives.as_ref().map(|lives| [lives[g].birth, lives[g].death].map(|t| t as usize));
+            let [birth, death] = life.unwrap_or([0, place.num_timesteps]);
+            let span = place.span.start.max(birth)..place.span.end.min(death);
             for unit in 0..units {
                 if place.shared.units[a][g * units + unit] == NONE {
                     continue;
@@ -311,10 +311,10 @@ impl KeypointModels {
                 out.times.push(inner_time as u16);
             }
             let mut end = last;
-            if last < unit.death {
+            if last + 1 < unit.death {
                 let source_end = source.map_or(0, |s| usize::from(s.times[s.times.len() - 1]));
                 end += self.after.code(coder, 0, source_end.wrapping_sub(last) as u32) as usize;
-                if end > unit.death {
+                if end >= unit.death {
                     return Err(Problem::Damaged);
                 }
             }
@@ -417,7 +417,7 @@ struct Unit<'a> {
     span: Range<usize>,
     /// First timestep at which its Gaussian lives.
     birth: usize,
-    /// Last timestep at which its Gaussian lives.
+    /// First timestep at which its Gaussian no longer lives.
     death: usize,
     motion: Motion,
     gaussian: usize,

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use tcgs_core::{Activation, Attribute, Column, Layout};
+use tcgs_core::{Activation, Attribute, Column, Layout, Life};
 
 use super::head::write_text;
 use super::neighbors::Neighbors;
@@ -138,7 +138,7 @@ impl Plan {
             let varies = usize::from(self.varies[attribute.index()]);
             size_of::<u8>() + components * size_of::<i16>() + varies * varying
         });
-        attributes.sum::<usize>() + size_of::<[u16; 2]>() + Neighbors::BYTES_PER_GAUSSIAN
+        attributes.sum::<usize>() + size_of::<Life>() + Neighbors::BYTES_PER_GAUSSIAN
     }
 }
 

@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use tcgs_core::{Attribute, Gaussians, Layout};
+use tcgs_core::{Attribute, Gaussians, Layout, Life};
 
 use super::head::Head;
 use super::keypoints::UnitTracks;
@@ -81,9 +81,8 @@ impl Segment {
         &self.head.plan.layout
     }
 
-    /// `[N]` first and last timestep at which each Gaussian lives, counted from [`Self::start`]; `None` if all live in
-    /// all timesteps of the cohort.
-    pub fn lives(&self) -> Option<&[[u16; 2]]> {
+    /// `[N]` lives, counted from [`Self::start`]; `None` if all Gaussians live in all timesteps of the cohort.
+    pub fn lives(&self) -> Option<&[Life]> {
         self.shared.lives.as_ref().map(|lives| &lives[..self.num_gaussians])
     }
 
@@ -93,9 +92,8 @@ impl Segment {
     /// If `timestep` is before [`Self::start`].
     pub fn alive(&self, timestep: usize) -> Option<Vec<usize>> {
         let now = timestep - self.start();
-        let is_alive = |life: &[u16; 2]| (usize::from(life[0])..=usize::from(life[1])).contains(&now);
         let lives = self.lives()?;
-        Some((0..lives.len()).filter(|&g| is_alive(&lives[g])).collect())
+        Some((0..lives.len()).filter(|&g| lives[g].contains(now)).collect())
     }
 
     pub(super) fn tracks(&self, attribute: Attribute) -> &UnitTracks {

@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use tcgs_core::Attribute;
+use tcgs_core::{Attribute, Life, Lives};
 
 use super::coder::{Coder, SymbolModel};
 use super::neighbors::{NONE, Neighbors};
@@ -18,8 +18,8 @@ use crate::quantize::{MAX_BITS, Quantizer};
 pub(super) struct Shared {
     /// Bit widths; 0 for an attribute that a Gaussian lacks.
     pub(super) bit_map: BitMap,
-    /// `[N]` first and last timestep at which a Gaussian lives; `None` if all live in all timesteps of the cohort.
-    pub(super) lives: Option<Vec<[u16; 2]>>,
+    /// `[N]` lives, counted from the first timestep of the cohort; `None` if all live in all of its timesteps.
+    pub(super) lives: Option<Lives>,
     /// By attribute, `[N * components]`: whether a track has more than one keypoint.
     pub(super) moves: Vec<Vec<bool>>,
     /// By attribute, `[N * components]` first codes.
@@ -34,12 +34,12 @@ pub(super) struct Shared {
 impl Shared {
     /// Creates the state before the first layer.
     ///
-    /// - `has_lives`: whether Gaussians have first and last timesteps of their own
+    /// - `has_lives`: whether Gaussians have lives of their own
     pub(super) fn new(plan: &Plan, has_lives: bool) -> Self {
         let num_columns = plan.layout.columns().len();
         Self {
             bit_map: BitMap::uniform_of(&plan.layout, 0, 1, 1),
-            lives: has_lives.then(Vec::new),
+            lives: has_lives.then(Lives::default),
             moves: vec![Vec::new(); num_columns],
             first_codes: vec![Vec::new(); num_columns],
             units: vec![Vec::new(); num_columns],
@@ -56,7 +56,7 @@ impl Shared {
     /// Extends all arrays by the Gaussians of a layer.
     pub(super) fn extend(&mut self, plan: &Plan, layer: &Range<usize>) {
         if let Some(lives) = &mut self.lives {
-            lives.resize(layer.end, [0, 0]);
+            lives.0.resize(layer.end, Life { birth: 0, death: 1 });
         }
         for attribute in plan.layout.attributes() {
             let (a, components) = (attribute.index(), attribute.components());
@@ -105,9 +105,8 @@ fn coordinate(code: i16, width: u8) -> u16 {
 /// Models of lives, widths and flags of moving tracks.
 #[derive(Clone, Debug)]
 pub(super) struct MapModels {
-    /// First timesteps of lives.
     births: Numbers,
-    /// Timesteps from the end of a life to that of the cohort.
+    /// Timesteps from the death to the end of the cohort.
     deaths: Numbers,
     /// Whether a Gaussian has an attribute.
     present: Vec<SymbolModel>,
@@ -144,19 +143,19 @@ impl MapModels {
         shared: &mut Shared,
     ) -> bool {
         // A decoder has already refused `num_timesteps` 0.
-        let last = (num_timesteps - 1) as u32;
+        let num_timesteps = num_timesteps as u32;
         for g in layer {
             if coder.exhausted() {
                 return true;
             }
             if let Some(lives) = &mut shared.lives {
-                let [birth, death] = lives[g].map(u32::from);
-                let birth = self.births.code(coder, 0, birth);
-                let from_end = self.deaths.code(coder, usize::from(birth > 0), last.wrapping_sub(death));
-                if birth + from_end > last {
+                let birth = self.births.code(coder, 0, lives[g].birth);
+                let from_end = num_timesteps.wrapping_sub(lives[g].death);
+                let from_end = self.deaths.code(coder, usize::from(birth > 0), from_end);
+                if birth + from_end >= num_timesteps {
                     return false;
                 }
-                lives[g] = [birth as u16, (last - from_end) as u16];
+                lives.0[g] = Life { birth, death: num_timesteps - from_end };
             }
             let (mut other, mut other_present) = (0, false);
             for a in 0..plan.layout.columns().len() {

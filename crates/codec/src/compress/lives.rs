@@ -1,30 +1,33 @@
 //! Gaussians that live for only a part of the timesteps.
 
+use tcgs_core::{Life, Lives};
+
 use crate::compact::{CompactScene, Tracks};
 
 impl CompactScene {
-    /// Restricts each Gaussian to a life with its own first and last timestep. Keypoints outside the life are dropped;
-    /// at both ends of the life tracks keep their values, rounded to codes.
+    /// Restricts each Gaussian to its life. Keypoints outside the life are dropped; at both ends of the life tracks keep
+    /// their values, rounded to codes.
     ///
-    /// - `lives`: `[N]` first and last timestep
+    /// - `lives`: `[N]`
     ///
     /// ```
     /// use tcgs_codec::{BitMap, CompressSettings, SceneInfo, compress};
-    /// use tcgs_core::{DynamicGaussians, Gaussians};
+    /// use tcgs_core::{DynamicGaussians, Gaussians, Life, Lives};
     /// let mut scene = DynamicGaussians::default();
     /// (0..4).for_each(|_| scene.push(Gaussians::zeros(1)));
     /// let map = BitMap::uniform(1, 16, 6);
     /// let compact = compress(&scene, &map, None, SceneInfo::of(&scene), &CompressSettings::default())?;
-    /// assert_eq!(compact.with_lives(vec![[1, 2]]).lives, Some(vec![[1, 2]]));
+    /// let lives = Lives::from([Life { birth: 1, death: 3 }]);
+    /// assert_eq!(compact.with_lives(lives.clone()).lives, Some(lives));
     /// # Ok::<(), tcgs_codec::CompressError>(())
     /// ```
     ///
     /// # Panics
     /// If `lives` has not one life for each Gaussian, or a life is not within the timesteps.
-    pub fn with_lives(mut self, lives: Vec<[u16; 2]>) -> Self {
-        let num_timesteps = self.num_timesteps();
+    pub fn with_lives(mut self, lives: Lives) -> Self {
         assert_eq!(lives.len(), self.num_gaussians(), "a life for each Gaussian");
-        assert!(lives.iter().all(|l| l[0] <= l[1] && usize::from(l[1]) < num_timesteps), "lives within the timesteps");
+        let is_within = |life: &Life| life.birth < life.death && life.death <= self.info.num_timesteps;
+        assert!(lives.iter().all(is_within), "lives within the timesteps");
         for attribute in self.layout.attributes() {
             let tracks = &self.tracks[attribute.index()];
             let components = attribute.components();
@@ -52,17 +55,18 @@ impl CompactScene {
 /// Times and codes of a track.
 type Track = (Vec<u16>, Vec<i16>);
 
-/// The part of a track within a life; its ends become keypoints.
-fn restrict((times, codes): (&[u16], &[i16]), [birth, death]: [u16; 2]) -> Track {
-    if times.len() == 1 || birth == death {
-        return (vec![0], vec![code_at(times, codes, birth)]);
+/// The part of a track within a life; its first and last timestep become keypoints.
+fn restrict((times, codes): (&[u16], &[i16]), life: Life) -> Track {
+    let [first, last] = [life.birth, life.death - 1].map(|t| t as u16);
+    if times.len() == 1 || first == last {
+        return (vec![0], vec![code_at(times, codes, first)]);
     }
-    let inner = times.iter().zip(codes).filter(|(time, _)| birth < **time && **time < death);
-    let (mut of_life, mut values) = (vec![birth], vec![code_at(times, codes, birth)]);
+    let inner = times.iter().zip(codes).filter(|(time, _)| first < **time && **time < last);
+    let (mut of_life, mut values) = (vec![first], vec![code_at(times, codes, first)]);
     of_life.extend(inner.clone().map(|(&time, _)| time));
     values.extend(inner.map(|(_, &code)| code));
-    of_life.push(death);
-    values.push(code_at(times, codes, death));
+    of_life.push(last);
+    values.push(code_at(times, codes, last));
     (of_life, values)
 }
 

@@ -168,9 +168,10 @@ fn compress_columns<R: SceneReader>(
     settings.check()?;
     let layout = Arc::clone(reader.layout());
     let num_timesteps = reader.num_timesteps();
-    check_arguments(&layout, [reader.num_gaussians(), num_timesteps], bit_map, &info)?;
-    if let Some(timestep) = (0..num_timesteps).find(|&t| reader.num_gaussians_at(t) != reader.num_gaussians()) {
-        let (found, expected) = (reader.num_gaussians_at(timestep), reader.num_gaussians());
+    let counts: Vec<usize> = (0..num_timesteps).map(|timestep| reader.num_gaussians_at(timestep)).collect();
+    let expected = counts.iter().copied().max().unwrap_or(0);
+    check_arguments(&layout, [expected, num_timesteps], bit_map, &info)?;
+    if let Some((timestep, &found)) = counts.iter().enumerate().find(|(_, found)| **found != expected) {
         return Err(CompressError::Count { what: format!("Gaussians at timestep {timestep}"), found, expected });
     }
     let statistics = Statistics::read(reader, varies)?;

@@ -149,7 +149,7 @@ pub(super) fn apart<R: SceneReader>(
     columns: &[(Attribute, &Tolerances<'_>)],
     settings: &CompressSettings,
 ) -> Result<Vec<Reduced>, CompressError> {
-    let (num_gaussians, num_timesteps) = (reader.num_gaussians(), reader.num_timesteps());
+    let (num_gaussians, num_timesteps) = (reader.num_gaussians_at(0), reader.num_timesteps());
     let components: usize = columns.iter().map(|(attribute, _)| attribute.components()).sum();
     let at_once = (TRACK_BYTES / (size_of::<f32>() * components.max(1) * num_timesteps)).max(BLOCK);
     let mut tracks: Vec<Tracks<f32>> = columns.iter().map(|_| Tracks::default()).collect();

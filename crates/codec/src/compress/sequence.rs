@@ -8,7 +8,9 @@ use std::collections::HashMap;
 use std::collections::hash_map::DefaultHasher;
 use std::hash::Hasher;
 
-use tcgs_core::{Attribute, DynamicGaussians, Gaussians, SceneReader, distance, dot, normalize, upper_median};
+use tcgs_core::{
+    Attribute, DynamicGaussians, Gaussians, Life, Lives, SceneReader, distance, dot, normalize, upper_median,
+};
 
 use super::settings::middle;
 use super::statistics::read_one;
@@ -36,15 +38,15 @@ pub struct Followed {
     pub start: usize,
     /// All Gaussians of the part. Before and after its life a Gaussian has the values of its first and last timestep.
     pub scene: DynamicGaussians,
-    /// `[N]` first and last timestep at which each Gaussian lives, counted from [`Self::start`].
-    pub lives: Vec<[u16; 2]>,
+    /// `[N]` lives, counted from [`Self::start`].
+    pub lives: Lives,
 }
 
 impl Followed {
     /// Whether every Gaussian lives in all timesteps.
     pub fn all_live(&self) -> bool {
-        let last = (self.scene.num_timesteps() - 1) as u16;
-        self.lives.iter().all(|life| *life == [0, last])
+        let whole = Life { birth: 0, death: self.scene.num_timesteps() as u32 };
+        self.lives.iter().all(|life| *life == whole)
     }
 }
 
@@ -123,7 +125,10 @@ impl<'a, R: SceneReader> FollowedParts<'a, R> {
             let places: Vec<(usize, usize)> = tracks.iter().map(held).collect();
             scene.push(gather(&timesteps, &places));
         }
-        let life = |(birth, rows): &(usize, Vec<u32>)| [*birth as u16, (birth + rows.len() - 1) as u16];
+        let life = |(birth, rows): &(usize, Vec<u32>)| {
+            let [birth, death] = [*birth, birth + rows.len()].map(|t| t as u32);
+            Life { birth, death }
+        };
         Ok(Some(Followed { start, lives: tracks.iter().map(life).collect(), scene }))
     }
 }

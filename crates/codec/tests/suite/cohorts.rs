@@ -23,10 +23,7 @@ fn alive(cohorts: &[CompactScene], timestep: usize) -> (Vec<Gaussians>, Vec<usiz
         }
         let now = timestep - start;
         let lives = |g: usize| {
-            cohort
-                .lives
-                .as_ref()
-                .is_none_or(|lives| (usize::from(lives[g][0])..=usize::from(lives[g][1])).contains(&now))
+            cohort.lives.as_ref().is_none_or(|lives| (lives[g].birth..lives[g].death).contains(&(now as u32)))
         };
         let living: Vec<usize> = (0..cohort.num_gaussians()).filter(|&g| lives(g)).collect();
         parts.push(cohort.at(now).select(&living));

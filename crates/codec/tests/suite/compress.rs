@@ -370,7 +370,7 @@ impl SceneReader for Counted<'_> {
         self.scene.layout()
     }
 
-    fn num_gaussians(&self) -> usize {
+    fn num_gaussians_at(&self, _: usize) -> usize {
         self.scene.num_gaussians()
     }
 

@@ -7,7 +7,7 @@ use tcgs_codec::{
     AttributeErrors, BitMap, CompactFile, CompactScene, CompressError, CompressSettings, DecodeLimits, FileWriter,
     FollowedParts, Light, SceneFile, SceneInfo, SegmentCache, compress_ordered, inspect,
 };
-use tcgs_core::{Attribute, DynamicGaussians, Gaussians, Layout};
+use tcgs_core::{Attribute, DynamicGaussians, Gaussians, Layout, Life};
 
 /// Pseudo-random numbers in [0, 1).
 fn random(i: usize) -> f32 {
@@ -80,7 +80,9 @@ fn what_is_declared_holds_for_what_is_decoded_and_no_less_would() {
 fn gaussians_count_while_they_live() {
     let scene = scene(9, 8, &Layout::base());
     let (compact, order) = compress(&scene, &settings());
-    let compact = compact.cohorts[0].clone().with_lives(order.iter().map(|&g| [0, 7 - (g % 3) as u16]).collect());
+    let compact = compact.cohorts[0]
+        .clone()
+        .with_lives(order.iter().map(|&g| Life { birth: 0, death: 8 - (g % 3) as u32 }).collect());
     let error_of =
         |original: &DynamicGaussians| AttributeErrors::of(&compact, &mut &*original, &order).unwrap().by_name()[0].1;
     let errors = error_of(&scene);
@@ -125,8 +127,7 @@ fn parts_of_a_sequence_declare_theirs() {
         let bits = BitMap::uniform(part.lives.len(), 14, 8);
         let (compact, order) =
             compress_ordered(&part.scene, &bits, None, SceneInfo::of(&part.scene), &settings()).unwrap();
-        let lives = order.iter().map(|&g| part.lives[g]).collect();
-        let compact = CompactScene { start: part.start as u32, ..compact.with_lives(lives) };
+        let compact = CompactScene { start: part.start as u32, ..compact.with_lives(part.lives.select(&order)) };
         errors.extend(&AttributeErrors::of(&compact, &mut &part.scene, &order).unwrap());
         cohorts.push(compact);
     }

@@ -8,7 +8,7 @@ use tcgs_codec::{
     BitMap, CompactScene, CompressSettings, DecodeLimits, FollowedParts, SceneFile, SceneInfo, SegmentCache, compress,
     decode_cohorts, encode_cohorts,
 };
-use tcgs_core::{Attribute, DynamicGaussians, Gaussians, Layout, SceneReader};
+use tcgs_core::{Attribute, DynamicGaussians, Gaussians, Layout, Life, SceneReader};
 
 /// splitmix64 (Steele et al. 2014), as a number in [0, 1).
 fn random(seed: u64) -> f32 {
@@ -55,10 +55,6 @@ impl SceneReader for Sequence {
         &self.layout
     }
 
-    fn num_gaussians(&self) -> usize {
-        self.timesteps.iter().map(Gaussians::num_gaussians).max().unwrap_or(0)
-    }
-
     fn num_gaussians_at(&self, timestep: usize) -> usize {
         self.timesteps[timestep].num_gaussians()
     }
@@ -91,8 +87,7 @@ fn cohorts(source: &mut Sequence, max_timesteps: usize) -> Vec<CompactScene> {
             let settings = CompressSettings { coarser: [0.0; 5], harmonic_error: FINE, ..CompressSettings::default() };
             let info = SceneInfo::of(&part.scene);
             let (compact, order) = tcgs_codec::compress_ordered(&part.scene, &bits, None, info, &settings).unwrap();
-            let lives = order.iter().map(|&g| part.lives[g]).collect();
-            CompactScene { start: part.start as u32, ..compact.with_lives(lives) }
+            CompactScene { start: part.start as u32, ..compact.with_lives(part.lives.select(&order)) }
         })
         .collect()
 }
@@ -189,7 +184,7 @@ fn gaussians_are_followed_through_changing_orders_and_numbers() {
     assert_eq!(cohorts.len(), 1);
     assert_eq!(cohorts[0].num_gaussians(), 200 + 5 * 14, "each is followed over its whole life");
     let lives = cohorts[0].lives.as_ref().unwrap();
-    assert_eq!(lives.iter().filter(|life| **life == [0, 8]).count(), 20);
+    assert_eq!(lives.iter().filter(|life| **life == Life { birth: 0, death: 9 }).count(), 20);
     let file = file(&source, &cohorts);
     compare(&source, &file);
     let raw: usize = source.timesteps.iter().map(|now| 4 * 23 * now.num_gaussians()).sum();

@@ -15,7 +15,7 @@ use tcgs_codec::{
     CompactScene, CompressSettings, DecodeError, DecodeLimits, SceneFile, SceneInfo, application_data, compress,
     decode, decode_cohorts, encode, encode_cohorts, encode_with,
 };
-use tcgs_core::{Activation, Attribute, Gaussians};
+use tcgs_core::{Activation, Attribute, Gaussians, Life};
 
 /// Vectors of version 1 with bytes that a decoder accepts and no encoder writes.
 const FORGED: [&str; 3] = ["dropped_bits", "optional_sections", "symbols_beyond"];
@@ -135,6 +135,7 @@ fn describe_v2(file: &[u8]) -> Value {
     let limits = DecodeLimits::default();
     let mut reader = SceneFile::open(std::io::Cursor::new(file), &limits, 0).unwrap();
     let info = reader.info().clone();
+    let first_and_last = |life: &Life| [life.birth, life.death - 1];
     let cohort = |cohort: &CompactScene| {
         let mut described = joined(
             describe_cohort(cohort),
@@ -142,7 +143,7 @@ fn describe_v2(file: &[u8]) -> Value {
                 "start": cohort.start,
                 "num_timesteps": cohort.info.num_timesteps,
                 "num_gaussians": cohort.info.num_gaussians,
-                "lives": cohort.lives,
+                "lives": cohort.lives.as_ref().map(|lives| lives.iter().map(first_and_last).collect::<Vec<_>>()),
                 "names": cohort.layout.columns().iter().map(|column| &column.name).collect::<Vec<_>>(),
             }),
         );

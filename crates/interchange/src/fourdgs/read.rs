@@ -300,10 +300,6 @@ impl SceneReader for FourdgsFile {
         &self.layout
     }
 
-    fn num_gaussians(&self) -> usize {
-        self.numbers.iter().copied().max().unwrap_or(0)
-    }
-
     fn num_gaussians_at(&self, timestep: usize) -> usize {
         self.numbers[timestep]
     }

@@ -101,7 +101,7 @@ impl SceneReader for ParamsNpz {
         &self.layout
     }
 
-    fn num_gaussians(&self) -> usize {
+    fn num_gaussians_at(&self, _: usize) -> usize {
         self.num_gaussians
     }
 

@@ -113,7 +113,7 @@ fn a_timestep_is_read_alone_whether_compressed_or_not() {
         let on_disk = [&params.means, &params.quats, &params.colors].map(NpzRows::is_on_disk);
         let stored = ["means3D", "unnorm_rotations", "rgb_colors"].map(|key| !compressed.contains(&key));
         assert_eq!(on_disk, stored);
-        assert_eq!((params.num_timesteps(), params.num_gaussians()), (2, 3));
+        assert_eq!((params.num_timesteps(), params.num_identities()), (2, Some(3)));
         for timestep in [1, 0, 1] {
             assert_eq!(params.at(timestep).unwrap(), scene().at(timestep));
         }

@@ -77,7 +77,8 @@ pub fn write_params_npz_from<W: Write + Seek, R: SceneReader>(
     scene: &mut R,
     extras: &ParamsExtras,
 ) -> io::Result<W> {
-    let (t, n) = (scene.num_timesteps(), scene.num_gaussians());
+    let t = scene.num_timesteps();
+    let n = if t > 0 { scene.num_gaussians_at(0) } else { 0 };
     assert!(t > 0 && n > 0, "a scene of {t} timesteps of {n} gaussians");
     let seg_colors: Vec<[f32; 3]> = match extras.foreground {
         Some(foreground) => {

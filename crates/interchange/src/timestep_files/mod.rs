@@ -40,7 +40,7 @@ const MAX_JUMP: f32 = 0.5;
 /// }
 /// let files = TimestepFiles::open(folder.path(), ReadSettings::default())?;
 /// assert_eq!((files.num_timesteps(), files.first_frame()), (2, Some(7)));
-/// assert_eq!((files.num_gaussians(), files.num_gaussians_at(0)), (6, 5));
+/// assert_eq!((files.num_identities(), files.num_gaussians_at(0)), (None, 5));
 /// assert_eq!(files.at(1)?, Gaussians::zeros(6));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -237,10 +237,6 @@ impl SceneReader for TimestepFiles {
 
     fn layout(&self) -> &Arc<Layout> {
         &self.layout
-    }
-
-    fn num_gaussians(&self) -> usize {
-        self.numbers.iter().copied().max().unwrap_or(0)
     }
 
     fn num_gaussians_at(&self, timestep: usize) -> usize {

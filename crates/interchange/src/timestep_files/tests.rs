@@ -145,7 +145,7 @@ fn the_number_of_gaussians_may_change_in_every_file() {
         write(&folder, &format!("{timestep}.ply"), &at(timestep).select(&(0..n).collect::<Vec<_>>()));
     }
     let mut files = TimestepFiles::open(folder.path(), ReadSettings::default()).unwrap();
-    assert_eq!((files.num_gaussians(), files.num_timesteps(), files.has_constant_number()), (100, 4, false));
+    assert_eq!((files.num_identities(), files.num_timesteps(), files.all_live()), (None, 4, false));
     assert_eq!([0, 1, 2, 3].map(|t| files.num_gaussians_at(t)), numbers);
     assert_eq!(files.raw_bytes(), (70 + 100 + 3 + 99) * 56);
     assert_eq!(SceneReader::at(&mut files, 2).unwrap().means(), &at(2).means()[..3]);

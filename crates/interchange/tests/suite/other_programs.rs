@@ -215,7 +215,7 @@ fn a_folder_of_several_kinds_is_one_sequence() {
         std::fs::copy(file(name), folder.path().join(format!("{i}.{ending}"))).unwrap();
     }
     let files = TimestepFiles::open(folder.path(), ReadSettings::default()).unwrap();
-    assert_eq!((files.num_timesteps(), files.num_gaussians(), files.kind()), (4, 260, "Gaussian files"));
+    assert_eq!((files.num_timesteps(), files.num_identities(), files.kind()), (4, Some(260), "Gaussian files"));
     let scene = files.read(0..4).unwrap();
     assert_eq!(scene.at(3), read("niantic_rub.spz"));
 }

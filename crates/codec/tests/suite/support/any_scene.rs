@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use tcgs_codec::{BitMap, ColorSpace, CompactScene, Quantizer, Quantizers, SceneInfo, Tracks, UpAxis};
-use tcgs_core::{Attribute, Column, Layout};
+use tcgs_core::{Attribute, Column, Layout, Life, Lives};
 
 /// splitmix64 (Steele et al. 2014).
 pub struct Numbers(pub u64);
@@ -138,10 +138,10 @@ pub fn any_cohort(num_gaussians: usize, num_timesteps: usize, start: u32, seed: 
 /// Gives Gaussians their own lives, and moves keypoints into them.
 fn live(scene: &mut CompactScene, random: &mut Numbers) {
     let last = scene.num_timesteps() as u64 - 1;
-    let lives: Vec<[u16; 2]> = (0..scene.num_gaussians())
+    let lives: Lives = (0..scene.num_gaussians())
         .map(|_| {
-            let ends = [random.below(last + 1) as u16, random.below(last + 1) as u16];
-            [ends[0].min(ends[1]), ends[0].max(ends[1])]
+            let ends = [random.below(last + 1) as u32, random.below(last + 1) as u32];
+            Life { birth: ends[0].min(ends[1]), death: ends[0].max(ends[1]) + 1 }
         })
         .collect();
     for attribute in scene.layout.attributes() {
@@ -149,15 +149,15 @@ fn live(scene: &mut CompactScene, random: &mut Numbers) {
         let tracks = &scene.tracks[attribute.index()];
         for i in 0..tracks.len() {
             let (times, codes) = tracks.track(i);
-            let [birth, death] = lives[i / attribute.components()];
-            if times.len() == 1 || birth == death {
+            let life = lives[i / attribute.components()];
+            let length = u64::from(life.death - 1 - life.birth);
+            if times.len() == 1 || length == 0 {
                 moved.push(&[0], &codes[..1]);
                 continue;
             }
-            let length = u64::from(death - birth);
             let mut kept: Vec<(u16, i16)> = times
                 .iter()
-                .map(|&t| birth + (u64::from(t) * length / last) as u16)
+                .map(|&t| (u64::from(life.birth) + u64::from(t) * length / last) as u16)
                 .zip(codes.iter().copied())
                 .collect();
             kept.dedup_by_key(|(time, _)| *time);

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use tcgs_codec::{BitMap, ColorSpace, CompactScene, Quantizer, Quantizers, SceneInfo, Tracks, UpAxis};
-use tcgs_core::{Activation, Attribute, Column, Layout};
+use tcgs_core::{Activation, Attribute, Column, Layout, Life, Lives};
 
 use super::any_scene::Numbers;
 use super::corner_scenes;
@@ -108,25 +108,26 @@ fn cohort(shape: &Shape, random: &mut Numbers) -> CompactScene {
     scene
 }
 
-fn lives_of(num_gaussians: usize, num_timesteps: u32, random: &mut Numbers) -> Vec<[u16; 2]> {
-    let mut lives: Vec<[u16; 2]> = (0..num_gaussians).map(|_| life(num_timesteps, random)).collect();
+fn lives_of(num_gaussians: usize, num_timesteps: u32, random: &mut Numbers) -> Lives {
+    let mut lives: Lives = (0..num_gaussians).map(|_| life(num_timesteps, random)).collect();
     // No Gaussian is predicted from the last one, so `forge_v2.py` lets it move within its only timestep.
-    lives[num_gaussians - 1] = [6; 2];
+    lives.0[num_gaussians - 1] = Life { birth: 6, death: 7 };
     lives
 }
 
-/// First and last timestep of a Gaussian: one timestep, from the first, to the last, all or any.
-fn life(num_timesteps: u32, random: &mut Numbers) -> [u16; 2] {
-    let last = num_timesteps as u16 - 1;
-    let mut any = || random.below(u64::from(last) + 1) as u16;
+/// One timestep, from the first, to the last, all or any.
+fn life(num_timesteps: u32, random: &mut Numbers) -> Life {
+    let last = num_timesteps - 1;
+    let mut any = || random.below(u64::from(num_timesteps)) as u32;
     let (one, other) = (any(), any());
-    match random.below(6) {
+    let [birth, last] = match random.below(6) {
         0 => [one, one],
         1 => [0, one],
         2 => [one, last],
         3 => [0, last],
         _ => [one.min(other), one.max(other)],
-    }
+    };
+    Life { birth, death: last + 1 }
 }
 
 /// Tracks that mostly move with those of other Gaussians. Opacities, and attributes with an odd index, have separate
@@ -136,14 +137,15 @@ fn tracks(scene: &CompactScene, attribute: Attribute, widths: &[u8], random: &mu
     let mut tracks = Tracks::default();
     let drift: Vec<i64> = (0..components).map(|_| random.below(9) as i64 - 4).collect();
     for (gaussian, &width) in widths.iter().enumerate() {
-        let [birth, death] =
-            scene.lives.as_ref().map_or([0, scene.info.num_timesteps as u16 - 1], |lives| lives[gaussian]);
-        let moves = scene.varies[index] && birth < death && width > 0 && random.below(4) > 0;
+        let whole = Life { birth: 0, death: scene.info.num_timesteps };
+        let life = scene.lives.as_ref().map_or(whole, |lives| lives[gaussian]);
+        let [first, last] = [life.birth, life.death - 1].map(|t| t as u16);
+        let moves = scene.varies[index] && first < last && width > 0 && random.below(4) > 0;
         let mut times = vec![0];
         for (c, drift) in drift.iter().enumerate() {
             if moves && (c == 0 || index % 2 == 1) {
                 let share = random.below(4);
-                times = (birth..=death).filter(|&t| t == birth || t == death || random.below(4) < share).collect();
+                times = (first..=last).filter(|&t| t == first || t == last || random.below(4) < share).collect();
             }
             if width == 0 {
                 tracks.push(&[0], &[0]);
