@@ -17,6 +17,11 @@ impl Life {
     /// The value of [`Self::death`] of a Gaussian that has not died.
     pub const NEVER: u32 = u32::MAX;
 
+    /// A life that has not ended.
+    pub fn since(birth: u32) -> Self {
+        Self { birth, death: Self::NEVER }
+    }
+
     /// Whether it lives at a timestep.
     pub fn contains(self, timestep: usize) -> bool {
         (self.birth as usize..self.death as usize).contains(&timestep)

@@ -42,7 +42,7 @@ pub use densify::{Densified, DensifyStep, densify, remove_others, reset_opacitie
 pub use error::TrainError;
 pub use fake_quant::{FakeQuantizers, bit_settings, fake_quant, fake_quant_vjp, step_gradient_scale};
 pub use gate::{GateRecord, Trained};
-pub use lifetimes::{Lifetimes, Lives};
+pub use lifetimes::Lifetimes;
 pub use losses::{Loss, LossTerms, WeightConfig};
 pub use mask::{mask, mask_consistency_loss, mask_loss, mask_vjp, masked_out, mean_masks};
 pub use motion::{Past, Pose, predict};

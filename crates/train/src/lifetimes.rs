@@ -1,51 +1,11 @@
-//! Identity and lifetime of each Gaussian, as columns of integers.
+//! Identity and lifetime of each Gaussian during training.
 //!
-//! An identity is a Gaussian's number in the order of births, and is never reused. A checkpoint holds the rows of the
-//! Gaussians that live, and the births and deaths of all that ever lived. [`Lives::living`] maps rows to identities.
+//! Identities count up in the order of births. A checkpoint holds the rows of the Gaussians that live, and the lives of
+//! all that ever lived. [`Lives::living`] maps rows to identities.
+
+use tcgs_core::{Life, Lives};
 
 use crate::row::Row;
-
-/// Birth and death of every Gaussian that a run ever had, by identity.
-///
-/// Gaussians of the first timestep were born at 0. Identities count up in the order of births.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Lives {
-    /// `[identities]` first timestep at which it lives.
-    pub births: Vec<u32>,
-    /// `[identities]` first timestep at which it no longer lives; [`Self::NEVER`] if it has not died.
-    pub deaths: Vec<u32>,
-}
-
-impl Lives {
-    /// The value in [`deaths`](Self::deaths) of a Gaussian that has not died.
-    pub const NEVER: u32 = u32::MAX;
-
-    /// Number of Gaussians that ever lived.
-    pub fn len(&self) -> usize {
-        self.births.len()
-    }
-
-    /// Whether none ever lived.
-    pub fn is_empty(&self) -> bool {
-        self.births.is_empty()
-    }
-
-    /// Identities of those that live at a timestep, ascending: the rows of its checkpoint.
-    pub fn living(&self, timestep: usize) -> Vec<usize> {
-        (0..self.len()).filter(|&id| self.is_alive(id, timestep)).collect()
-    }
-
-    /// Whether a Gaussian lives at a timestep.
-    pub fn is_alive(&self, id: usize, timestep: usize) -> bool {
-        (self.births[id] as usize..self.deaths[id] as usize).contains(&timestep)
-    }
-
-    fn push(&mut self, birth: u32) -> u32 {
-        self.births.push(birth);
-        self.deaths.push(Self::NEVER);
-        u32::try_from(self.births.len() - 1).expect("fewer than 2^32 Gaussians")
-    }
-}
 
 /// A stable identity for each Gaussian of a state, and the lives of all that the run ever had.
 ///
@@ -68,20 +28,17 @@ impl Lifetimes {
 
     /// Whether all that ever lived live from the first timestep on and have not died.
     pub fn are_whole(&self) -> bool {
-        let Lives { births, deaths } = &self.lives;
-        self.ids.len() == births.len()
-            && births.iter().all(|&birth| birth == 0)
-            && deaths.iter().all(|&death| death == Lives::NEVER)
+        self.ids.len() == self.lives.len() && self.lives.iter().all(|&life| life == Life::since(0))
     }
 
     /// `[N]` timestep of birth.
     pub fn births(&self) -> Vec<u32> {
-        self.ids.iter().map(|&id| self.lives.births[id as usize]).collect()
+        self.ids.iter().map(|&id| self.lives[id as usize].birth).collect()
     }
 
     /// Number of Gaussians that were there at first.
     pub(crate) fn num_first(&self) -> usize {
-        self.ids.partition_point(|&id| self.lives.births[id as usize] == 0)
+        self.ids.partition_point(|&id| self.lives[id as usize].birth == 0)
     }
 
     /// Appends Gaussians.
@@ -89,20 +46,29 @@ impl Lifetimes {
     /// - `timestep`: at which they are born
     pub(crate) fn append(&mut self, count: usize, timestep: u32) {
         for _ in 0..count {
-            self.ids.push(self.lives.push(timestep));
+            self.ids.push(bear(&mut self.lives, timestep));
         }
     }
 
     /// - `timestep`: birth of new Gaussians
     pub(crate) fn gather(&mut self, rows: &[Row], timestep: u32) {
         let ids = std::mem::take(&mut self.ids);
-        self.ids = rows.iter().map(|row| row.kept().map_or_else(|| self.lives.push(timestep), |i| ids[i])).collect();
+        self.ids =
+            rows.iter().map(|row| row.kept().map_or_else(|| bear(&mut self.lives, timestep), |i| ids[i])).collect();
     }
 
     /// Records that some rows die at a timestep; the caller then removes them.
     pub(crate) fn end(&mut self, rows: &[usize], timestep: u32) {
-        rows.iter().for_each(|&row| self.lives.deaths[self.ids[row] as usize] = timestep);
+        rows.iter().for_each(|&row| self.lives.0[self.ids[row] as usize].death = timestep);
     }
+}
+
+/// Adds a life that begins at a timestep.
+///
+/// - returns: its identity
+fn bear(lives: &mut Lives, timestep: u32) -> u32 {
+    lives.0.push(Life::since(timestep));
+    u32::try_from(lives.len() - 1).expect("fewer than 2^32 Gaussians")
 }
 
 #[cfg(test)]

@@ -1,8 +1,6 @@
 //! Learned masks, paper Eq. 1 to 6.
 
-use tcgs_core::{Real, sigmoid, sigmoid_vjp};
-
-use crate::lifetimes::Lives;
+use tcgs_core::{Lives, Real, sigmoid, sigmoid_vjp};
 
 /// Binary mask of one Gaussian, paper Eq. 1.
 ///
@@ -95,7 +93,7 @@ pub fn masked_out(mask_logits: &[f32], threshold: f32) -> Vec<bool> {
 /// ```
 pub fn mean_masks<L: AsRef<[f32]>>(mask_logits: impl IntoIterator<Item = L>, lives: Option<&Lives>) -> Vec<f32> {
     // Value, sum of values, and number of timesteps.
-    let mut all = vec![(0.0, 0.0, 0); lives.map_or(0, Lives::len)];
+    let mut all = vec![(0.0, 0.0, 0); lives.map_or(0, |lives| lives.len())];
     for (timestep, logits) in mask_logits.into_iter().enumerate() {
         let logits = logits.as_ref();
         if lives.is_none() && timestep == 0 {
@@ -106,8 +104,7 @@ pub fn mean_masks<L: AsRef<[f32]>>(mask_logits: impl IntoIterator<Item = L>, liv
         for (&id, &logit) in living.iter().zip(logits) {
             all[id].0 = sigmoid(logit);
         }
-        let num_born =
-            lives.map_or(all.len(), |lives| lives.births.partition_point(|&birth| birth as usize <= timestep));
+        let num_born = lives.map_or(all.len(), |lives| lives.partition_point(|life| life.birth as usize <= timestep));
         for (value, sum, num_timesteps) in &mut all[..num_born] {
             *sum += *value;
             *num_timesteps += 1;
@@ -118,6 +115,8 @@ pub fn mean_masks<L: AsRef<[f32]>>(mask_logits: impl IntoIterator<Item = L>, liv
 
 #[cfg(test)]
 mod tests {
+    use tcgs_core::Life;
+
     use super::*;
 
     #[test]
@@ -130,7 +129,7 @@ mod tests {
 
     #[test]
     fn a_mean_begins_with_the_birth_and_goes_on_after_the_death() {
-        let lives = Lives { births: vec![0, 0, 1], deaths: vec![Lives::NEVER, 2, Lives::NEVER] };
+        let lives = Lives::from([Life::since(0), Life { birth: 0, death: 2 }, Life::since(1)]);
         let logits = [vec![0.0, 40.0], vec![0.0, -40.0, 0.0], vec![0.0, 40.0], vec![40.0, 0.0]];
         let means = mean_masks(logits, Some(&lives));
         assert_eq!(means, [2.5 / 4.0, 0.25, 2.0 / 3.0]);

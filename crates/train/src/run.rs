@@ -17,7 +17,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde_json::Value;
 use tcgs_codec::{BitMap, Quantizers};
-use tcgs_core::{DynamicGaussians, read_text};
+use tcgs_core::{DynamicGaussians, Lives, read_text};
 use tcgs_interchange::{Existing, write_whole};
 
 use crate::TrainError;
@@ -26,7 +26,6 @@ use crate::config::{BirthConfig, DeathConfig, GateConfig, RenderConfig, TrainCon
 use crate::engine::Engine;
 use crate::engine::cpu::CpuEngine;
 use crate::fake_quant::FakeQuantizers;
-use crate::lifetimes::Lives;
 use crate::parameters::Parameters;
 use crate::stand_ins::StandIns;
 use crate::state::State;
@@ -260,7 +259,7 @@ impl Run {
                 format!("holds {found} Gaussians, expected {number} that all live"),
             );
         }
-        let before = last.lifetimes.lives.births.partition_point(|&birth| (birth as usize) < finished - 1);
+        let before = last.lifetimes.lives.partition_point(|life| (life.birth as usize) < finished - 1);
         let mut known = last.lifetimes.ids.iter().take_while(|id| (**id as usize) < before);
         if !known.all(|id| before_last.lifetimes.ids.binary_search(id).is_ok()) {
             let problem = format!("lacks Gaussians that live at timestep {}, and before it", finished - 1);
@@ -433,7 +432,7 @@ impl Run {
         let mut scene = DynamicGaussians::new(Arc::clone(first.parameters.gaussians.layout()));
         let mut mask_logits = Vec::with_capacity(finished);
         let stand_ins = self.stand_ins(&first, finished)?;
-        let num_gaussians = stand_ins.lives().map_or(first.parameters.num_gaussians(), Lives::len);
+        let num_gaussians = stand_ins.lives().map_or(first.parameters.num_gaussians(), |lives| lives.len());
         let mut foreground = vec![false; num_gaussians];
         for timestep in 0..finished {
             let now = self.living(timestep, &first, stand_ins.lives())?;
@@ -539,7 +538,7 @@ fn resume_name(timestep: usize) -> String {
 
 /// How many Gaussians a timestep is to have.
 fn num_living(timestep: usize, first: &Checkpoint, lives: Option<&Lives>) -> usize {
-    lives.map_or(first.parameters.num_gaussians(), |lives| lives.living(timestep).len())
+    lives.map_or(first.parameters.num_gaussians(), |lives| lives.num_living(timestep))
 }
 
 fn read(path: &Path) -> impl Fn(io::Error) -> TrainError + use<> {

@@ -7,9 +7,7 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use tcgs_core::{Gaussians, Layout};
-
-use crate::lifetimes::Lives;
+use tcgs_core::{Gaussians, Layout, Life, Lives};
 
 /// Stand-ins for the Gaussians of a run at timesteps at which they do not live. Before its birth a Gaussian stands as
 /// it is born; after its death, as it was at the last timestep of its life.
@@ -53,13 +51,13 @@ impl StandIns {
             Ok(at(timestep as usize, &lives)?.select(&rows))
         };
         let mut newborn = Vec::new();
-        for birth in distinct(&lives.births).filter(|&birth| birth > 0) {
-            newborn.push(some(birth, &|id| lives.births[id] == birth)?);
+        for birth in distinct(lives.iter().map(|life| life.birth)).filter(|&birth| birth > 0) {
+            newborn.push(some(birth, &|id| lives[id].birth == birth)?);
         }
         let (mut dead, mut departed) = (Vec::new(), Vec::new());
-        for death in distinct(&lives.deaths) {
-            dead.extend((0..lives.len()).filter(|&id| lives.deaths[id] == death));
-            departed.push(some(death - 1, &|id| lives.deaths[id] == death)?);
+        for death in distinct(lives.iter().map(|life| life.death)).filter(|&death| death != Life::NEVER) {
+            dead.extend((0..lives.len()).filter(|&id| lives[id].death == death));
+            departed.push(some(death - 1, &|id| lives[id].death == death)?);
         }
         let now = at(last, &lives)?;
         let [newborn, departed] = [newborn, departed].map(|of| Gaussians::concat(layout, &of));
@@ -114,7 +112,7 @@ impl StandIns {
             // Position of each among the living, the newborn and the dead.
             let unborn = living.len()..living.len() + self.newborn.num_gaussians();
             let mut rows: Vec<usize> = (0..num_first).chain(unborn.clone()).collect();
-            for (row, &id) in self.dead.iter().enumerate().filter(|(_, id)| lives.deaths[**id] as usize <= timestep) {
+            for (row, &id) in self.dead.iter().enumerate().filter(|(_, id)| lives[**id].death as usize <= timestep) {
                 rows[id] = unborn.end + row;
             }
             living.iter().enumerate().for_each(|(row, &id)| rows[id] = row);
@@ -128,8 +126,7 @@ impl StandIns {
     }
 }
 
-/// Each timestep once, ascending, without [`Lives::NEVER`].
-fn distinct(timesteps: &[u32]) -> impl Iterator<Item = u32> + use<> {
-    let all: BTreeSet<u32> = timesteps.iter().copied().filter(|&timestep| timestep != Lives::NEVER).collect();
-    all.into_iter()
+/// Each timestep once, ascending.
+fn distinct(timesteps: impl Iterator<Item = u32>) -> impl Iterator<Item = u32> {
+    timesteps.collect::<BTreeSet<u32>>().into_iter()
 }

@@ -11,14 +11,14 @@ use std::path::Path;
 use std::sync::Arc;
 
 use tcgs_codec::{BitMap, Quantizer};
-use tcgs_core::{Activation, Attribute, Camera, Column, Gaussians, Layout, RateGroup};
+use tcgs_core::{Activation, Attribute, Camera, Column, Gaussians, Layout, Life, Lives, RateGroup};
 use tcgs_interchange::{Existing, NpzReader, NpzWriter, write_whole};
 
 use self::array::{Array, Value, get, problem_of};
 use crate::TrainError;
 use crate::fake_quant::FakeQuantizers;
 use crate::gate::GateRecord;
-use crate::lifetimes::{Lifetimes, Lives};
+use crate::lifetimes::Lifetimes;
 use crate::motion::Pose;
 use crate::parameters::{Parameters, extent};
 use crate::state::{Optimizer, goes_on};
@@ -131,7 +131,8 @@ impl Checkpoint {
         }
         if has_lifetimes {
             let l = &self.lifetimes;
-            for (name, values) in LIFETIME_NAMES.into_iter().zip([&l.ids, &l.lives.births, &l.lives.deaths]) {
+            let (births, deaths): (Vec<u32>, Vec<u32>) = l.lives.iter().map(|life| (life.birth, life.death)).unzip();
+            for (name, values) in LIFETIME_NAMES.into_iter().zip([&l.ids, &births, &deaths]) {
                 arrays.add(name, For::Scene, &[values.len()], &wide(values));
             }
             let count = self.born.means.len();
@@ -400,7 +401,7 @@ fn read(arrays: &Arrays, first: Option<&Checkpoint>, learned_offset: bool) -> Re
     let parameters = read_parameters(arrays, first)?;
     let (n, layout) = (parameters.num_gaussians(), parameters.gaussians.layout());
     let lifetimes = if has_lifetimes(arrays) { read_lifetimes(arrays, n)? } else { Lifetimes::new(n) };
-    let num_first = lifetimes.lives.births.partition_point(|&birth| birth == 0);
+    let num_first = lifetimes.lives.partition_point(|life| life.birth == 0);
     if let Some(first) = first.map(|first| first.parameters.num_gaussians()).filter(|&first| first != num_first) {
         return Err(format!("{} has {num_first} Gaussians of the first timestep, expected {first}", LIVES[0]));
     }
@@ -471,7 +472,7 @@ fn read_born(arrays: &Arrays, lifetimes: &Lifetimes) -> Result<Pose, String> {
 
 fn read_lifetimes(arrays: &Arrays, n: usize) -> Result<Lifetimes, String> {
     let (ids, lives) = (narrow(arrays, LIFETIME_NAMES[0])?, read_lives(arrays)?);
-    let living = (0_u32..).zip(&lives.deaths).filter(|(_, death)| **death == Lives::NEVER).map(|(id, _)| id);
+    let living = (0_u32..).zip(lives.iter()).filter(|(_, life)| life.death == Life::NEVER).map(|(id, _)| id);
     if !living.eq(ids.iter().copied()) {
         return Err("ids are not those that births and deaths leave".into());
     }
@@ -490,7 +491,7 @@ fn read_lives(arrays: &Arrays) -> Result<Lives, String> {
     if births.len() != deaths.len() || births.iter().zip(&deaths).any(|(birth, death)| birth >= death) {
         return Err("deaths do not fit births".into());
     }
-    Ok(Lives { births, deaths })
+    Ok(births.into_iter().zip(deaths).map(|(birth, death)| Life { birth, death }).collect())
 }
 
 fn narrow(arrays: &Arrays, name: &str) -> Result<Vec<u32>, String> {
@@ -569,4 +570,22 @@ fn fill(name: &str, into: &mut [f32], values: &[f32]) -> Result<(), String> {
     }
     into.copy_from_slice(values);
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_birth_needs_a_later_death() {
+        let read = |births: &[u64], deaths: &[u64]| {
+            let array = |values: &[u64]| Arc::new(Array::new(&[values.len()], values.to_vec()));
+            let arrays = LIVES.map(String::from).into_iter().zip([births, deaths].map(array)).collect();
+            read_lives(&arrays)
+        };
+        assert_eq!(read(&[0, 2], &[1, Life::NEVER.into()]).unwrap()[..], [Life { birth: 0, death: 1 }, Life::since(2)]);
+        for deaths in [&[1][..], &[1, 2], &[1, 3, 4]] {
+            assert_eq!(read(&[0, 2], deaths).unwrap_err(), "deaths do not fit births", "{deaths:?}");
+        }
+    }
 }

@@ -23,7 +23,7 @@ mod nursery;
 mod pace;
 
 use rayon::prelude::*;
-use tcgs_core::{Activated, Camera, Image, View, distance, upper_median};
+use tcgs_core::{Activated, Camera, Image, Life, View, distance, upper_median};
 use tcgs_render::{CpuRasterizer, Laps, RenderSettings, TileMask, tiles_reached};
 
 pub use self::activity::Trained;
@@ -40,7 +40,6 @@ pub(crate) use self::pace::SETTLED_PACE;
 use crate::config::{DeathConfig, GateConfig, MaskConfig};
 use crate::engine::Target;
 use crate::engine::cpu::Drawn;
-use crate::lifetimes::Lives;
 use crate::mask::mask;
 use crate::state::State;
 
@@ -74,7 +73,7 @@ pub struct GateRecord {
     pub noise: Vec<Vec<f32>>,
     /// `[cameras][tiles]` mean absolute error of the scene's picture in each tile, when it was last trained.
     pub errors: Vec<Vec<f32>>,
-    /// `[N]` timestep since which no camera has seen the Gaussian, as of the last `Gate::look`; [`Lives::NEVER`] if
+    /// `[N]` timestep since which no camera has seen the Gaussian, as of the last `Gate::look`; [`Life::NEVER`] if
     /// one saw it then. Empty if deaths are off.
     pub unseen: Vec<u32>,
 }
@@ -191,10 +190,10 @@ impl Gate {
             activity.corrections = corrections(state, &activity, &memory.images, targets);
         }
         if self.deaths.patience > 0 {
-            self.record.unseen.resize(state.parameters.num_gaussians(), Lives::NEVER);
+            self.record.unseen.resize(state.parameters.num_gaussians(), Life::NEVER);
             let timestep = state.timestep as u32;
             for (unseen, share) in self.record.unseen.iter_mut().zip(&activity.pixels) {
-                *unseen = if *share >= self.deaths.share { Lives::NEVER } else { (*unseen).min(timestep) };
+                *unseen = if *share >= self.deaths.share { Life::NEVER } else { (*unseen).min(timestep) };
             }
         }
         Some(activity)
@@ -222,7 +221,7 @@ impl Gate {
         let nothing = Activated { num_channels: channels, ..Activated::default() };
         self.redraw_rows(state, views, &(n - count..n).collect::<Vec<_>>(), &nothing);
         if self.deaths.patience > 0 {
-            self.record.unseen.resize(n, Lives::NEVER);
+            self.record.unseen.resize(n, Life::NEVER);
         }
     }
 
@@ -411,7 +410,7 @@ mod tests {
         assert_eq!(dying(&config, 8, [4, 4, 4, 4, 4]), [0, 1, 4]);
         // The first was seen at the last timestep, the second is unseen for three; no Gaussian dies between two
         // burials.
-        assert_eq!(dying(&config, 8, [Lives::NEVER, 5, 1, 1, 1]), [4]);
+        assert_eq!(dying(&config, 8, [Life::NEVER, 5, 1, 1, 1]), [4]);
         assert!(dying(&config, 9, [1; 5]).is_empty());
         config.mask.enabled = false;
         assert_eq!(dying(&config, 8, [4, 5, 4, 4, 4]), [0]);

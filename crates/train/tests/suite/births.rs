@@ -211,7 +211,7 @@ fn the_young_go_on_learning_and_then_settle() {
     let psnr = fit(&mut trainer(&config), 0..5, true, Some(&run));
     let first = run.checkpoint(0, None).unwrap();
     // Columns that do not vary over time, of the Gaussians born at 2.
-    let num_born = run.lives(5).unwrap().unwrap().births.iter().filter(|birth| **birth == 2).count();
+    let num_born = run.lives(5).unwrap().unwrap().iter().filter(|life| life.birth == 2).count();
     let constants = |gaussians: &Gaussians| {
         let rows = NUM_WALL..NUM_WALL + num_born;
         (gaussians.logit_opacities()[rows.clone()].to_vec(), gaussians.log_scales()[rows].to_vec())
@@ -262,7 +262,8 @@ fn a_run_with_births_resumes_with_the_same_bytes_and_reads_back() {
 
     let run = Run::open(run.folder()).unwrap();
     let first = run.checkpoint(0, None).unwrap();
-    let (births, stand_ins) = (run.lives(5).unwrap().unwrap().births, run.stand_ins(&first, 5).unwrap());
+    let (lives, stand_ins) = (run.lives(5).unwrap().unwrap(), run.stand_ins(&first, 5).unwrap());
+    let births: Vec<u32> = lives.iter().map(|life| life.birth).collect();
     let state = trainer.state().unwrap();
     assert_eq!(births, state.lifetimes.births());
     let trained = run.trained().unwrap();

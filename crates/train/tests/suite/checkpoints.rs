@@ -3,9 +3,9 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use tcgs_core::PointCloud;
+use tcgs_core::{Life, Lives, PointCloud};
 use tcgs_interchange::NpzReader;
-use tcgs_train::{Checkpoint, GateRecord, Lifetimes, Lives, Optimizer, Parameters, Pose, Run, TrainConfig, TrainError};
+use tcgs_train::{Checkpoint, GateRecord, Lifetimes, Optimizer, Parameters, Pose, Run, TrainConfig, TrainError};
 
 /// A run in the first format of checkpoints; see its README.md.
 const OLD: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../testdata/run");
@@ -133,9 +133,9 @@ fn sleeping(num_gaussians: usize, timestep: usize) -> Checkpoint {
 /// The checkpoint of a timestep after births and deaths: of six Gaussians the third died at 1, and two were born.
 fn with_lives(timestep: usize) -> Checkpoint {
     let mut checkpoint = sleeping(7, timestep);
-    let (births, mut deaths) = (vec![0, 0, 0, 0, 0, 0, 1, 1], vec![Lives::NEVER; 8]);
-    deaths[2] = 1;
-    checkpoint.lifetimes = Lifetimes { ids: vec![0, 1, 3, 4, 5, 6, 7], lives: Lives { births, deaths } };
+    let mut lives: Lives = [0, 0, 0, 0, 0, 0, 1, 1].map(Life::since).into();
+    lives.0[2].death = 1;
+    checkpoint.lifetimes = Lifetimes { ids: vec![0, 1, 3, 4, 5, 6, 7], lives };
     checkpoint.born = Pose { means: vec![[0.0; 3]; 2], quats: vec![[0.0; 4]; 2] };
     checkpoint.gate = GateRecord { noise: vec![vec![0.1]], errors: vec![vec![0.0; 4]], unseen: vec![1; 7] };
     checkpoint
@@ -162,18 +162,17 @@ fn lives_that_fit_nothing_are_refused() {
     refused(not_left, &|c| c.lifetimes.ids.swap(0, 1));
     refused(not_left, &|c| c.lifetimes.ids[6] = 8);
     refused(not_left, &|c| c.lifetimes.ids.truncate(6));
-    refused(not_left, &|c| c.lifetimes.lives.deaths[0] = 1);
-    refused("deaths do not fit births", &|c| c.lifetimes.lives.deaths[0] = 0);
-    refused("deaths do not fit births", &|c| c.lifetimes.lives.deaths.truncate(7));
-    refused("births are not in their order", &|c| c.lifetimes.lives.births.swap(5, 6));
-    refused("births has 5 Gaussians of the first timestep, expected 6", &|c| c.lifetimes.lives.births[5] = 1);
+    refused(not_left, &|c| c.lifetimes.lives.0[0].death = 1);
+    refused("deaths do not fit births", &|c| c.lifetimes.lives.0[0].death = 0);
+    refused("births are not in their order", &|c| c.lifetimes.lives.0.swap(5, 6));
+    refused("births has 5 Gaussians of the first timestep, expected 6", &|c| c.lifetimes.lives.0[5].birth = 1);
     refused("gate_unseen holds 3 values, expected 7", &|c| c.gate.unseen.truncate(3));
     refused("born_means and born_quats hold [1, 1] poses, expected 2", &|c| {
         c.born.means.truncate(1);
         c.born.quats.truncate(1);
     });
     refused("6 Gaussians live, and there are values of 7", &|c| {
-        c.lifetimes.lives.deaths[0] = 1;
+        c.lifetimes.lives.0[0].death = 1;
         c.lifetimes.ids.remove(0);
     });
 }
@@ -196,9 +195,9 @@ fn a_checkpoint_of_another_run_is_named_where_a_run_goes_on() {
 
     // The first one must hold all Gaussians with which the run begins.
     let mut first = sleeping(6, 0);
-    let mut deaths = vec![Lives::NEVER; 7];
-    deaths[2] = 1;
-    first.lifetimes = Lifetimes { ids: vec![0, 1, 3, 4, 5, 6], lives: Lives { births: vec![0; 7], deaths } };
+    let mut lives = Lives::from([Life::since(0); 7]);
+    lives.0[2].death = 1;
+    first.lifetimes = Lifetimes { ids: vec![0, 1, 3, 4, 5, 6], lives };
     save(0, &first);
     let error = Run::open(run.folder()).unwrap().resume().err().unwrap().to_string();
     assert!(error.contains("000000.npz: has births or deaths, expected none at the first timestep"), "{error}");

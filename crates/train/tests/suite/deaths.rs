@@ -4,11 +4,11 @@
 use std::ops::{ControlFlow, Range};
 use std::path::Path;
 
-use tcgs_core::{Camera, Gaussians, View, activate};
+use tcgs_core::{Camera, Gaussians, Life, View, activate};
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
 use tcgs_train::engine::Engine;
 use tcgs_train::engine::cpu::CpuEngine;
-use tcgs_train::{Lives, Parameters, Preset, Run, State, TrainConfig, Trainer};
+use tcgs_train::{Parameters, Preset, Run, State, TrainConfig, Trainer};
 
 use crate::wall::{add_ball, wall};
 
@@ -116,8 +116,8 @@ fn dies_as_expected(trainer: &mut Trainer) {
     let left = alive(trainer, LEAVES);
     assert!(left <= 2, "{left} that left live on");
     assert_eq!(trainer.num_gaussians(), AT_REST.end + left);
-    let deaths = &trainer.state().unwrap().lifetimes.lives.deaths[LEAVES];
-    assert!(deaths.iter().all(|&death| death == Lives::NEVER || (death as usize).is_multiple_of(PATIENCE)));
+    let left = &trainer.state().unwrap().lifetimes.lives[LEAVES];
+    assert!(left.iter().all(|life| life.death == Life::NEVER || (life.death as usize).is_multiple_of(PATIENCE)));
 }
 
 #[test]
@@ -158,8 +158,9 @@ fn a_run_with_births_and_deaths_resumes_with_the_same_bytes_and_reads_back() {
     fit(&mut trainer, 0..NUM_TIMESTEPS, true, Some(&run));
     let lives = run.lives(NUM_TIMESTEPS).unwrap().unwrap();
     assert_eq!(lives, trainer.state().unwrap().lifetimes.lives);
-    let burials: Vec<usize> = (0..NUM_TIMESTEPS).filter(|&t| lives.deaths.contains(&(t as u32))).collect();
-    assert!(burials.contains(&ENTERS) && lives.births.contains(&(ENTERS as u32)), "{burials:?}, {:?}", lives.births);
+    let burials: Vec<usize> =
+        (0..NUM_TIMESTEPS).filter(|&t| lives.iter().any(|life| life.death as usize == t)).collect();
+    assert!(burials.contains(&ENTERS) && lives.iter().any(|life| life.birth as usize == ENTERS), "{lives:?}");
 
     // Before births and deaths, right after them, and later.
     for stopped in [ENTERS, ENTERS + 1, NUM_TIMESTEPS - 1] {
