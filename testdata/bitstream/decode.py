@@ -449,7 +449,7 @@ class Shared:
         self.last, self.has_lives = num_timesteps - 1, has_lives
         self.width, self.moves, self.code = ([[] for _ in self.attributes] for _ in range(3))
         self.lives, self.neighbors, self.points, self.curve = [], [], [], []
-        self.births, self.deaths = Numbers('birth'), Numbers('death')
+        self.births, self.left = Numbers('birth'), Numbers('left')
         self.maps = Models(16, 'width'), Models(2, 'moves'), Models(2, 'present')
         self.curve_models = Models(13, 'gap high'), Models(4, 'gap low'), Models(8, 'gap leading')
         self.gap_before = 0
@@ -489,9 +489,9 @@ class Shared:
 
     def read_life(self, symbols):
         birth = self.births.read(symbols, 0)
-        from_end = self.deaths.read(symbols, birth > 0)
-        must(birth + from_end <= self.last, 'maps', 'lives', 'not within the timesteps of the cohort')
-        return birth, self.last - from_end
+        left = self.left.read(symbols, birth > 0)
+        must(birth + left <= self.last, 'maps', 'lives', 'not within the timesteps of the cohort')
+        return birth, self.last - left
 
     def read_positions(self, symbols, layer):
         high, low, leading = self.curve_models
@@ -583,23 +583,23 @@ class SegmentOf:
     def read_layer(self, symbols, layer, motion):
         inner_before = 0
         for g in layer:
-            birth, death = self.shared.lives[g]
-            if birth > self.last or death < self.first: continue
+            B, D = self.shared.lives[g]
+            if B > self.last or D < self.first: continue
             for c0 in range(0, self.components, self.per):
                 if self.shared.moves[self.a][g][c0]:
                     inner_before = self.read_unit(symbols, motion, g, range(c0, c0 + self.per), inner_before)
         symbols.end()
 
     def read_unit(self, symbols, motion, g, components, inner_before):
-        a, c0, (birth, death) = self.a, components[0], self.shared.lives[g]
-        A, Z = max(self.first, birth), min(self.last, death)
+        a, c0, (B, D) = self.a, components[0], self.shared.lives[g]
+        A, Z = max(self.first, B), min(self.last, D)
         late = lambda holds: must(holds, name_in_errors(self.shared.plan['names'][a]), 'keypoint times', 'not within the timesteps that are left')
         # Those that move and live in this segment.
         neighbor = next((h for h in self.shared.neighbors[g] if (h, c0) in self.units), NONE)
         b = self.shared.width[a][g]
-        before = self.before.read(symbols, 0) if A > birth else 0
-        late(before <= A - birth)
-        times, codes = [A - before], [self.read_start(symbols, g, components, neighbor, A - before, A == birth)]
+        before = self.before.read(symbols, 0) if A > B else 0
+        late(before <= A - B)
+        times, codes = [A - before], [self.read_start(symbols, g, components, neighbor, A - before, A == B)]
         self.units[g, c0] = times, codes
         if A == Z and before == 0: return 0
         near = 0 if neighbor is NONE else max(len(self.units[neighbor, c0][0]) - 2, 0)
@@ -613,8 +613,8 @@ class SegmentOf:
             late(gap <= free - left)
             t, free = t + gap + 1, free - gap - 1
             times.append(t)
-        times.append(Z + (self.after.read(symbols, 0) if Z < death else 0))
-        late(times[-1] <= death)
+        times.append(Z + (self.after.read(symbols, 0) if Z < D else 0))
+        late(times[-1] <= D)
         if k == 0: codes.append(codes[0])
         else: self.read_later(symbols, motion, g, components, neighbor)
         return inner
@@ -687,7 +687,7 @@ class Decoded:
         """All attributes of the Gaussians that live at a timestep of the scene, a list of floats each."""
         now = t - self.head.start
         if not 0 <= now < self.head.num_timesteps: return [[] for _ in self.tracks]
-        living = [g for g, (birth, death) in enumerate(self.shared.lives) if birth <= now <= death]
+        living = [g for g, (B, D) in enumerate(self.shared.lives) if B <= now <= D]
         values = []
         for a, count in enumerate(self.shared.components):
             rows = [[self.track_at(a, g * count + c, now) for c in range(count)] for g in living]

@@ -191,11 +191,11 @@ def outside_life(segment, symbol):
     """The first number `before` or `after` of means in a segment that may lead out of a life, but not out of the cohort."""
     cohort = decoder.decode(vector(LIVES)).cohorts[0]
     (first, last), end, skip = cohort.head.span(segment), cohort.head.num_timesteps - 1, 0
-    for g, (birth, death) in enumerate(cohort.shared.lives):
-        A, Z, times = max(first, birth), min(last, death), cohort.tracks[0][3 * g][0]
+    for g, (B, D) in enumerate(cohort.shared.lives):
+        A, Z, times = max(first, B), min(last, D), cohort.tracks[0][3 * g][0]
         if not cohort.shared.moves[0][g][0] or A > Z: continue
-        if symbol == 'before': is_read, value, within = A > birth, A - birth + 1, birth > 0
-        else: is_read, value, within = Z < death and not (A == Z and A in times), death - Z + 1, death < end
+        if symbol == 'before': is_read, value, within = A > B, A - B + 1, B > 0
+        else: is_read, value, within = Z < D and not (A == Z and A in times), D - Z + 1, D < end
         if is_read and within and value < 8: return until(symbol, (symbol, value), skip=skip)
         skip += is_read
     raise AssertionError(f'no such {symbol}')
@@ -349,8 +349,8 @@ def refused():
     # Sections of cohorts.
     maps = 'maps', decoder.SHARED, 0, 0
     yield 'section_checksum', 'format', 'maps', 'checksum', 'a bit of the maps is flipped', damaged(one, first_byte_of_shared(ONE))
-    yield 'birth', 'format', 'maps', 'lives', 'a life that begins after the cohort', forged(LIVES, (maps, until('birth', *large('birth'), ('death', 0))))
-    yield 'death', 'format', 'maps', 'lives', 'a life that ends before it begins', forged(LIVES, (maps, until('birth', ('birth', 7), *large('death'))))
+    yield 'birth', 'format', 'maps', 'lives', 'a life that begins after the cohort', forged(LIVES, (maps, until('birth', *large('birth'), ('left', 0))))
+    yield 'death', 'format', 'maps', 'lives', 'a life that ends before it begins', forged(LIVES, (maps, until('birth', ('birth', 7), *large('left'))))
     means = 'means', 2, 0, 0
     yield 'before_life', 'format', 'means', 'keypoint times', 'a keypoint before the life of its Gaussian', forged(LIVES, (means, outside_life(2, 'before')))
     yield 'after_life', 'format', 'means', 'keypoint times', 'a keypoint after the life of its Gaussian', forged(LIVES, (means, outside_life(2, 'after')))
@@ -396,7 +396,7 @@ def born_and_gone():
     shared = decoder.decode(vector(LIVES)).cohorts[0].shared
     # Not those that others are predicted from.
     neighbors = {h for of in shared.neighbors for h in of}
-    short = [birth == death and g not in neighbors for g, (birth, death) in enumerate(shared.lives)]
+    short = [B == D and g not in neighbors for g, (B, D) in enumerate(shared.lives)]
     assert any(short)
     def edit(seen):
         # Of each Gaussian the symbols of its moves follow those of its life and its widths.

@@ -176,7 +176,7 @@ pub unsafe extern "C" fn tcgs_scene_info(scene: *const Scene, info: *mut SceneIn
         let (of_file, [bounds_min, bounds_max]) = (scene.file.info(), scene.file.archive().bounds());
         *to = SceneInfo {
             num_timesteps: of_file.num_timesteps,
-            max_gaussians: scene.file.num_gaussians() as u32,
+            max_gaussians: scene.file.max_gaussians() as u32,
             frame_rate: of_file.frame_rate,
             sh_degree: scene.file.layout().sh_degree() as u32,
             antialiased: u32::from(scene.file.layout().is_antialiased()),

@@ -79,8 +79,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let frames = scene.choose_frames(arguments.frames.as_ref().map(|frames| &frames.0))?;
     say(&describe(&scene))?;
     let export = Export::new(&scene)?;
-    if export.num_gaussians() < scene.num_gaussians() {
-        say(&format!("{} of {} Gaussians are not masked out", export.num_gaussians(), scene.num_gaussians()))?;
+    if let (Some(kept), Some(all)) = (export.num_identities(), scene.num_identities())
+        && kept < all
+    {
+        say(&format!("{kept} of {all} Gaussians are not masked out"))?;
     }
     let length = |path: &Path| std::fs::metadata(path).map_or(0, |written| written.len());
     let is_for_others = !matches!(target, Target::Floats);

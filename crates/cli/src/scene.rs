@@ -94,7 +94,8 @@ impl SceneOptions {
             _ => error.into(),
         })?;
         if let Some(loss) = scene.loss() {
-            note(&describe_loss(path, loss, scene.num_gaussians(), scene.num_timesteps()));
+            let num_gaussians = scene.num_identities().unwrap_or_default();
+            note(&describe_loss(path, loss, num_gaussians, scene.num_timesteps()));
         }
         Ok(scene)
     }
@@ -133,7 +134,8 @@ pub fn describe_loss(path: &Path, loss: &Loss, num_gaussians: usize, num_timeste
 pub fn describe(scene: &OpenScene) -> String {
     let (path, kind, size) = (scene.path.display(), scene.kind(), show_bytes(scene.bytes));
     let num_timesteps = scene.num_timesteps();
-    let (all, [least, most]) = (scene.num_gaussians(), numbers(scene));
+    let [least, most] = numbers(scene);
+    let all = scene.num_identities().unwrap_or(most);
     let number = match (least == most, most == all) {
         (true, true) => all.to_string(),
         (true, false) => format!("{most} of {all}"),
@@ -150,8 +152,8 @@ pub fn describe(scene: &OpenScene) -> String {
 
 /// The smallest and the largest number of Gaussians at any timestep.
 pub fn numbers(scene: &OpenScene) -> [usize; 2] {
-    let counts: Vec<usize> = (0..scene.num_timesteps()).map(|timestep| scene.num_gaussians_at(timestep)).collect();
-    [counts.iter().min(), counts.iter().max()].map(|count| count.copied().unwrap_or(scene.num_gaussians()))
+    let counts = (0..scene.num_timesteps()).map(|timestep| scene.num_gaussians_at(timestep));
+    [counts.clone().min(), counts.max()].map(|count| count.or(scene.num_identities()).unwrap_or_default())
 }
 
 /// The error of a user's file that cannot be read.

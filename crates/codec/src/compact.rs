@@ -324,9 +324,20 @@ impl CompactScene {
     /// The Gaussians that live at a timestep of the whole scene, with the values of [`Self::at`]; `None` if the cohort
     /// does not span the timestep.
     pub fn alive_at(&self, timestep: usize) -> Option<Gaussians> {
-        let now = timestep.checked_sub(self.start as usize).filter(|&now| now < self.num_timesteps())?;
+        let now = self.own_timestep(timestep)?;
         let all = self.at(now);
         Some(self.lives.as_ref().map_or(all.clone(), |lives| all.select(&lives.living(now))))
+    }
+
+    /// Number of Gaussians that live at a timestep of the whole scene.
+    pub(crate) fn num_alive_at(&self, timestep: usize) -> usize {
+        let all = self.num_gaussians();
+        self.own_timestep(timestep).map_or(0, |now| self.lives.as_ref().map_or(all, |lives| lives.num_living(now)))
+    }
+
+    /// A timestep of the whole scene, counted from [`Self::start`]; `None` if the cohort does not span it.
+    fn own_timestep(&self, timestep: usize) -> Option<usize> {
+        timestep.checked_sub(self.start as usize).filter(|&now| now < self.num_timesteps())
     }
 
     /// `[N * components]` values of one attribute at one timestep.

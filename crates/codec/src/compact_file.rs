@@ -104,9 +104,14 @@ impl CompactFile {
         }
     }
 
-    /// Number of Gaussians of all cohorts together.
-    pub fn num_gaussians(&self) -> usize {
+    /// Number of identities: of the Gaussians of all cohorts together.
+    pub fn num_identities(&self) -> usize {
         self.info.num_gaussians as usize
+    }
+
+    /// Number of Gaussians that live at a timestep.
+    pub fn num_gaussians_at(&self, timestep: usize) -> usize {
+        self.cohorts.iter().map(|cohort| cohort.num_alive_at(timestep)).sum()
     }
 
     /// Number of timesteps.
@@ -139,7 +144,7 @@ impl CompactFile {
     /// Mean width of all codes over Gaussians, in bits.
     pub fn mean_bits(&self) -> f64 {
         let weighted: f64 = self.cohorts.iter().map(|c| c.bit_map.mean_bits() * c.num_gaussians() as f64).sum();
-        weighted / self.num_gaussians().max(1) as f64
+        weighted / self.num_identities().max(1) as f64
     }
 
     /// Sum of [`CompactScene::plain_bytes`].

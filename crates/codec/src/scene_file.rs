@@ -102,11 +102,6 @@ impl<R> SceneFile<R> {
         &self.layout
     }
 
-    /// Upper bound on the number of Gaussians at any timestep, such as for buffers.
-    pub fn max_gaussians(&self) -> usize {
-        self.max_gaussians
-    }
-
     /// Memory of the segments in the caches, in bytes.
     pub fn cached_bytes(&self) -> usize {
         self.cohorts.values().map(|open| open.cache.bytes()).sum()
@@ -456,6 +451,11 @@ impl<R: Read + Seek> SceneReader for SceneFile<R> {
     fn num_gaussians_at(&self, timestep: usize) -> usize {
         let of = |cohort| self.archive.num_gaussians_of(cohort);
         if self.num_layers.is_some() { self.max_gaussians } else { self.archive.cohorts_at(timestep).map(of).sum() }
+    }
+
+    /// An upper bound, as [`Self::num_gaussians_at`].
+    fn max_gaussians(&self) -> usize {
+        self.max_gaussians
     }
 
     fn num_timesteps(&self) -> usize {

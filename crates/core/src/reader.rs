@@ -34,6 +34,11 @@ pub trait SceneReader {
         counts.all(|count| count == first).then_some(first)
     }
 
+    /// The largest number of Gaussians at any timestep.
+    fn max_gaussians(&self) -> usize {
+        (0..self.num_timesteps()).map(|timestep| self.num_gaussians_at(timestep)).max().unwrap_or(0)
+    }
+
     /// Whether all Gaussians live at all timesteps.
     fn all_live(&self) -> bool {
         let identities = self.num_identities();

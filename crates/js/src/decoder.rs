@@ -47,7 +47,7 @@ impl Decoder {
         Ok(Some(object([
             ("name", info.name.as_str().into()),
             ("numTimesteps", info.num_timesteps.into()),
-            ("maxGaussians", (file.num_gaussians() as u32).into()),
+            ("maxGaussians", (file.max_gaussians() as u32).into()),
             ("frameRate", info.frame_rate.into()),
             ("shDegree", (file.layout().sh_degree() as u32).into()),
             ("antialiased", file.layout().is_antialiased().into()),

@@ -90,9 +90,9 @@ impl<'a> Export<'a> {
         Ok(Self { scene, keep })
     }
 
-    /// Number of Gaussians that stay, counted as by [`OpenScene::num_gaussians`].
-    pub fn num_gaussians(&self) -> usize {
-        self.keep.as_ref().map_or(self.scene.num_gaussians(), Vec::len)
+    /// Number of Gaussians that stay, counted as by [`OpenScene::num_identities`].
+    pub fn num_identities(&self) -> Option<usize> {
+        self.keep.as_ref().map_or(self.scene.num_identities(), |keep| Some(keep.len()))
     }
 
     /// The Gaussians that stay, at one frame.
@@ -138,7 +138,7 @@ impl<'a> Export<'a> {
 
     /// Refuses a scene without Gaussians, which other programs do not read.
     fn check_some(&self) -> Result<(), PipelineError> {
-        if self.num_gaussians() == 0 {
+        if self.num_identities() == Some(0) {
             return Err(PipelineError::input(self.scene.path.display(), "has no Gaussians", "at least one"));
         }
         Ok(())
@@ -340,7 +340,7 @@ impl SceneReader for Frames<'_> {
         SceneReader::layout(self.0.export.scene)
     }
 
-    fn num_gaussians(&self) -> usize {
+    fn num_gaussians_at(&self, _: usize) -> usize {
         self.0.num_gaussians
     }
 

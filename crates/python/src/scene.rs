@@ -199,15 +199,17 @@ impl PyScene {
         self.at(py, timestep)
     }
 
-    /// Number of Gaussians at a timestep.
+    /// Number of Gaussians at a timestep. For a .tcgs file in which Gaussians are born or die it is an upper bound: the
+    /// length of `at(timestep)` is exact.
     fn num_gaussians_at(&self, timestep: Whole) -> PyResult<usize> {
         Ok(self.0.num_gaussians_at(self.timestep(timestep.index())?))
     }
 
-    /// Number of Gaussians; if the number changes, the largest at any timestep.
+    /// Number of Gaussians that live at some timestep. None if files do not identify Gaussians across timesteps, and
+    /// their number changes.
     #[getter]
-    fn num_gaussians(&self) -> usize {
-        self.0.num_gaussians()
+    fn num_identities(&self) -> Option<usize> {
+        self.0.num_identities()
     }
 
     /// Timesteps a second; 0: unknown.
@@ -339,7 +341,8 @@ impl PyScene {
 
     fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
         let path = PyString::new(py, &self.0.path.to_string_lossy()).repr()?.to_string();
-        let (kind, n, t) = (self.0.kind(), self.0.num_gaussians(), self.0.num_timesteps());
+        let n = self.0.num_identities().unwrap_or_else(|| self.0.max_gaussians());
+        let (kind, t) = (self.0.kind(), self.0.num_timesteps());
         Ok(format!("Scene({path}, {kind}: {n} Gaussians, {t} timesteps, {} fps)", self.0.frame_rate))
     }
 }

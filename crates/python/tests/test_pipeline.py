@@ -77,7 +77,7 @@ def test_chapters_start_from_a_scene_and_are_joined(capture: Path, run: Path, tm
     options: dict[str, Any] = {**TRAIN, "config": run / "config.toml"}
     late = tcgs.train(capture, chapters[0], frames=(1, 3), start_from=(tcgs.open(run), 0), **options)
     tcgs.train(capture, chapters[1], frames=(0, 2), start_from=(run, 0), **options)
-    assert late.num_gaussians == tcgs.open(run).num_gaussians_at(0)
+    assert late.num_identities == tcgs.open(run).num_gaussians_at(0)
     joined = tcgs.open(chapters, segment_length=2)
     assert (len(joined), joined.first_frame) == (3, 0)
     np.testing.assert_array_equal(joined.at(-1).means, late.at(-1).means)
@@ -182,7 +182,7 @@ def test_arrays_are_compressed(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         tcgs.compress(scene, tmp_path / "nowhere" / "scene.tcgs", progress=False)
     out = tcgs.compress(scene, tmp_path / "scene.tcgs", progress=False)
-    assert (len(out), out.num_gaussians, out.fps) == (10, 50, 24)
+    assert (len(out), out.num_identities, out.fps) == (10, 50, 24)
     tcgs.compress({**arrays, "fps": 24}, tmp_path / "of_arrays.tcgs", progress=False)
     assert (tmp_path / "of_arrays.tcgs").read_bytes() == (tmp_path / "scene.tcgs").read_bytes()
     (tmp_path / "of_arrays.tcgs").unlink()

@@ -71,7 +71,7 @@ def test_every_kind_of_file_is_opened(run: Path, tmp_path: Path) -> None:
     for name in ["params.npz", "scene.4dgs", "plys", "scene.tcgs"]:
         scene.save(tmp_path / name)
         again = tcgs.open(tmp_path / name)
-        assert len(again) == 3 and 0 < again.num_gaussians <= scene.num_gaussians, name
+        assert len(again) == 3 and 0 < again.num_gaussians_at(0) <= scene.num_gaussians_at(0), name
     exact = [tcgs.open(tmp_path / name).at(2) for name in ["params.npz", "plys"]]
     assert np.array_equal(exact[0].means, exact[1].means) and np.array_equal(exact[0].quats, exact[1].quats)
     compressed = tcgs.open(tmp_path / "scene.tcgs")
@@ -99,7 +99,7 @@ def test_arrays_become_a_scene_and_come_back() -> None:
     colors, scales = rng.uniform(size=(t, n, 3)), rng.uniform(0.1, 1, size=(n, 3))
     opacities, harmonics = rng.uniform(0.1, 0.9, size=(t, n)), rng.normal(size=(t, n, 8, 3))
     scene = tcgs.Scene.from_arrays(means, quats, colors, scales=scales, opacities=opacities, harmonics=harmonics, fps=24)
-    assert (len(scene), scene.num_gaussians, scene.fps, scene.sh_degree) == (t, n, 24, 2)
+    assert (len(scene), scene.num_identities, scene.fps, scene.sh_degree) == (t, n, 24, 2)
     for timestep, gaussians in enumerate(scene):
         assert np.array_equal(gaussians.means, means[timestep].astype(np.float32))
         assert np.array_equal(gaussians.quats, quats[timestep].astype(np.float32))

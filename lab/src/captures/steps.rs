@@ -79,7 +79,7 @@ impl Place {
         let found = json!({
             "arguments": arguments,
             "eval": without_images(read("eval")?),
-            "num_gaussians": scene.num_gaussians(),
+            "num_gaussians": scene.num_identities(),
             "seconds": { "train": train_secs, "compress": compress_secs },
             "more": more,
         });

@@ -519,7 +519,7 @@ fn report(arguments: &Arguments, compressed: &Compressed, found: Vec<Found>, out
     if arguments.max_error.is_some() {
         attribute_errors::print(&compact.declared_errors)?;
     }
-    let (before, after) = (compressed.num_gaussians_before, compact.num_gaussians());
+    let (before, after) = (compressed.num_gaussians_before, compact.num_identities());
     let size = compressed.file.len() as u64;
     // Those that come and go are more in all than at any time.
     let counts = if after > before {

@@ -97,7 +97,7 @@ pub fn html(outcome: &Outcome, run: &Run, pictures: Vec<Picture>) -> anyhow::Res
         ("SSIM", format!("{:.4}", quality.ssim)),
         (
             "Gaussians",
-            format!("{} of {}", outcome.compressed.compact.num_gaussians(), outcome.compressed.num_gaussians_before),
+            format!("{} of {}", outcome.compressed.compact.num_identities(), outcome.compressed.num_gaussians_before),
         ),
         ("time", format!("{:.0} s", outcome.seconds_total())),
     ];

@@ -32,7 +32,8 @@ pub fn print(path: &Path, source: SourceOptions, data: Option<&str>) -> anyhow::
     let size = file_bytes.map_or("unknown".into(), show_bytes);
     say(&format!("{}: {}, {size}", scene.path.display(), scene.kind()))?;
     let gaussians = if least == most { most.to_string() } else { format!("{least} to {most}") };
-    let of_all = if most < scene.num_gaussians() { format!(" of {}", scene.num_gaussians()) } else { String::new() };
+    let all = scene.num_identities().unwrap_or(most);
+    let of_all = if most < all { format!(" of {all}") } else { String::new() };
     let pruning = if scene.run().is_some() { ", before pruning" } else { "" };
     say(&format!("Gaussians     {gaussians}{of_all}{pruning}"))?;
     let num_timesteps = scene.num_timesteps();
@@ -50,7 +51,7 @@ pub fn print(path: &Path, source: SourceOptions, data: Option<&str>) -> anyhow::
     Ok(json!({
         "kind": scene.kind(),
         "version": null,
-        "num_gaussians": scene.num_gaussians(),
+        "num_gaussians": all,
         "least_gaussians": least,
         "most_gaussians": most,
         "num_timesteps": num_timesteps,

@@ -36,7 +36,7 @@ fn a_folder_of_several_kinds_becomes_a_file_and_glb_files() {
         succeed(&["export", text(&path(scene)), "--to", text(&glbs), "--files", "glb", "--frames", "1..4"]);
         let files = TimestepFiles::open(&glbs, ReadSettings::default()).unwrap();
         assert_eq!((files.kind(), files.num_timesteps(), files.first_frame()), ("glTF files", 3, Some(1)));
-        assert_eq!((files.num_gaussians(), files.layout().sh_degree()), (260, 3));
+        assert_eq!((files.num_identities(), files.layout().sh_degree()), (Some(260), 3));
     }
     let (one, source) = (path("one.glb"), path("source"));
     let arguments = ["export", text(&source), "--frames", "1..2", "--to", text(&one)];

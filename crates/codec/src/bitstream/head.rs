@@ -37,7 +37,7 @@ pub(super) struct Head {
     pub(super) num_timesteps: usize,
     /// Number of Gaussians of the cohort.
     pub(super) num_gaussians: usize,
-    /// Whether Gaussians have first and last timesteps of their own.
+    /// Whether Gaussians have lives of their own.
     pub(super) has_lives: bool,
     /// `[layers]`: number of Gaussians of each layer.
     pub(super) layers: Vec<u32>,

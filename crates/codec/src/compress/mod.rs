@@ -168,10 +168,10 @@ fn compress_columns<R: SceneReader>(
     settings.check()?;
     let layout = Arc::clone(reader.layout());
     let num_timesteps = reader.num_timesteps();
-    let counts: Vec<usize> = (0..num_timesteps).map(|timestep| reader.num_gaussians_at(timestep)).collect();
-    let expected = counts.iter().copied().max().unwrap_or(0);
+    let expected = reader.max_gaussians();
     check_arguments(&layout, [expected, num_timesteps], bit_map, &info)?;
-    if let Some((timestep, &found)) = counts.iter().enumerate().find(|(_, found)| **found != expected) {
+    let counts = (0..num_timesteps).map(|timestep| reader.num_gaussians_at(timestep));
+    if let Some((timestep, found)) = counts.enumerate().find(|(_, found)| *found != expected) {
         return Err(CompressError::Count { what: format!("Gaussians at timestep {timestep}"), found, expected });
     }
     let statistics = Statistics::read(reader, varies)?;

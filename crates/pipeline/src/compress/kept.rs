@@ -98,7 +98,7 @@ impl SceneReader for Reader<'_> {
         }
     }
 
-    fn num_gaussians(&self) -> usize {
+    fn num_gaussians_at(&self, _: usize) -> usize {
         self.0.num_gaussians()
     }
 

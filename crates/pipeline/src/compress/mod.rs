@@ -21,8 +21,7 @@ use tcgs_codec::{
     AttributeErrors, BitMap, BitMapping, CompactFile, CompactScene, CompressSettings, DecodeError, DecodeLimits,
     FORMAT_VERSION, LABELS, Light, MAX_BITS, Quantizers, SceneInfo, UpAxis, VIEWS, inspect,
 };
-use tcgs_core::{Attribute, Camera, DynamicGaussians, Layout, SceneReader};
-use tcgs_train::Lives;
+use tcgs_core::{Attribute, Camera, DynamicGaussians, Layout, Life, Lives, SceneReader};
 
 use self::bits::measured_bits;
 use self::kept::Kept;
@@ -188,8 +187,8 @@ enum Pruned<'a> {
     /// Gaussians that live in all timesteps, or from a birth on.
     Whole {
         kept: Kept<'a>,
-        /// First and last timestep of those that stay; none if all live in all timesteps.
-        lives: Option<Vec<[u16; 2]>>,
+        /// Lives of those that stay; none if all live at all timesteps.
+        lives: Option<Lives>,
         bit_map: BitMap,
         learned: Option<Quantizers>,
         /// Whether each Gaussian that stays is foreground; none if that is not kept.
@@ -217,7 +216,7 @@ impl<'a> PrunedScene<'a> {
             info: info(scene, up),
             version: options.version,
             data: options.data.clone(),
-            num_gaussians_before: scene.num_gaussians(),
+            num_gaussians_before: scene.num_identities().unwrap_or_else(|| scene.max_gaussians()),
             raw_bytes: scene.bytes,
             segment_length: scene.segment_length(),
             bits_from: String::new(),
@@ -238,24 +237,22 @@ impl<'a> PrunedScene<'a> {
             let keep = kept_gaussians(scene, options.prune)?;
             (Kept::InMemory(floats.select(&keep)), keep, floats.raw_bytes())
         };
-        let last = (kept.num_timesteps() - 1) as u16;
-        let life =
-            |lives: &Lives, i: usize| [lives.births[i], (lives.deaths[i] - 1).min(last.into())].map(|t| t as u16);
-        let mut lives: Vec<[u16; 2]> = match scene.lives() {
-            Some(lives) => keep.iter().map(|&i| life(lives, i)).collect(),
-            None => vec![[0, last]; keep.len()],
+        let whole = Life { birth: 0, death: kept.num_timesteps() as u32 };
+        let mut lives: Lives = match scene.lives() {
+            Some(lives) => keep.iter().map(|&i| lives[i].within(0..whole.death)).collect(),
+            None => Lives(vec![whole; keep.len()]),
         };
         let (kept, keep) = if options.min_share > 0.0 {
             let seen = seen_by_cameras(scene, &kept, &lives, &cameras, options.min_share)?;
             let is_needed = |seen: &Seen| seen.share >= options.min_share || !seen.is_in_images;
             let rows: Vec<usize> = (0..keep.len()).filter(|&row| is_needed(&seen[row])).collect();
-            let seen_to = |row: usize| match seen[row].is_in_images {
-                true => seen[row].last.clamp(lives[row][0], lives[row][1]),
-                false => lives[row][1],
+            let seen_until = |row: usize| {
+                let Life { birth, death } = lives[row];
+                // Version 1 holds no lives: there only what the run says ends one.
+                let is_cut = options.version > 1 && seen[row].is_in_images;
+                Life { birth, death: if is_cut { seen[row].until.clamp(birth + 1, death) } else { death } }
             };
-            // Version 1 holds no lives: there only what the run says ends one.
-            let last_of = |row: usize| if options.version > 1 { seen_to(row) } else { lives[row][1] };
-            lives = rows.iter().map(|&row| [lives[row][0], last_of(row)]).collect();
+            lives = rows.iter().map(|&row| seen_until(row)).collect();
             (kept.select(&rows), rows.iter().map(|&row| keep[row]).collect())
         } else {
             (kept, keep)
@@ -264,7 +261,7 @@ impl<'a> PrunedScene<'a> {
         (pruned.raw_bytes, pruned.bits_from) = (raw_bytes, bits_from);
         (pruned.info.num_gaussians, pruned.info.num_timesteps) =
             (kept.num_gaussians() as u32, kept.num_timesteps() as u32);
-        let lives = lives.iter().any(|&life| life != [0, last]).then_some(lives);
+        let lives = lives.iter().any(|&life| life != whole).then_some(lives);
         let foreground = options.marks.of(scene, &keep)?;
         let learned = learned.map(|(_, quantizers)| quantizers);
         pruned.content = Pruned::Whole { kept, lives, bit_map, learned, foreground };
@@ -319,7 +316,7 @@ impl<'a> PrunedScene<'a> {
         let settings = &self.with_segments(settings);
         let (compact, order) = kept.compress(bit_map, learned.as_ref(), self.info.clone(), settings)?;
         let compact = match lives {
-            Some(lives) => compact.with_lives(order.iter().map(|&g| lives[g]).collect()),
+            Some(lives) => compact.with_lives(lives.select(&order)),
             None => compact,
         };
         Ok(Some((compact, order)))
@@ -411,7 +408,7 @@ impl<'a> PrunedScene<'a> {
                 name: "pruned",
                 bytes: match &self.content {
                     Pruned::Whole { kept, .. } => {
-                        kept.layout().raw_bytes(compact.num_gaussians(), kept.num_timesteps())
+                        kept.layout().raw_bytes(compact.num_identities(), kept.num_timesteps())
                     }
                     Pruned::Parts(_) => self.raw_bytes,
                 },
@@ -452,7 +449,7 @@ pub fn compress_scene(scene: &OpenScene, options: &CompressOptions) -> Result<Co
 /// # Errors
 /// [`PipelineError::Input`] if no mean mask is above the threshold; [`PipelineError`] if a file of the scene is damaged.
 pub fn kept_gaussians(scene: &OpenScene, threshold: Option<f32>) -> Result<Vec<usize>, PipelineError> {
-    let num_gaussians = scene.num_gaussians();
+    let num_gaussians = scene.num_identities().unwrap_or_else(|| scene.max_gaussians());
     let (Some(run), Some(means)) = (scene.run(), scene.mean_masks()?) else { return Ok((0..num_gaussians).collect()) };
     let threshold = threshold.unwrap_or(run.config().mask.threshold);
     let keep: Vec<usize> = (0..num_gaussians).filter(|&i| means[i] > threshold).collect();
@@ -471,7 +468,7 @@ pub fn kept_gaussians(scene: &OpenScene, threshold: Option<f32>) -> Result<Vec<u
 fn seen_by_cameras(
     scene: &OpenScene,
     kept: &Kept,
-    lives: &[[u16; 2]],
+    lives: &Lives,
     cameras: &[(usize, Camera)],
     min_share: f32,
 ) -> Result<Vec<Seen>, PipelineError> {

@@ -36,7 +36,7 @@ pub(super) fn are_followed(scene: &OpenScene) -> Result<bool, PipelineError> {
     if !scene.has_loose_timesteps() || scene.num_timesteps() < 2 {
         return Ok(true);
     }
-    if !scene.has_constant_number() {
+    if !scene.all_live() {
         return Ok(false);
     }
     for timestep in crate::spread::spread(scene.num_timesteps() - 1, PAIRS) {
@@ -65,7 +65,7 @@ impl<'a> Parts<'a> {
 
     /// Finds the parts, and the bits of their Gaussians.
     pub fn new(scene: &'a OpenScene, options: &CompressOptions) -> Result<Self, PipelineError> {
-        let floats = SceneReader::layout(scene).components() * scene.num_gaussians().max(1);
+        let floats = SceneReader::layout(scene).components() * scene.max_gaussians().max(1);
         let max_timesteps = (MAX_FLOATS / floats).clamp(1, MAX_TIMESTEPS);
         let mut parts = Self { max_timesteps, ..Self::none(scene) };
         for part in FollowedParts::new(&mut Reader(scene), max_timesteps) {
@@ -109,7 +109,7 @@ impl<'a> Parts<'a> {
             };
             let (mut compact, order) = compress_ordered(&part.scene, bit_map, None, counts, settings)?;
             if !part.all_live() {
-                compact = compact.with_lives(order.iter().map(|&g| part.lives[g]).collect());
+                compact = compact.with_lives(part.lives.select(&order));
             }
             if declared == Errors::Measured {
                 errors.extend(&AttributeErrors::of(&compact, &mut &part.scene, &order)?);
@@ -133,8 +133,8 @@ impl SceneReader for Reader<'_> {
         SceneReader::layout(self.0)
     }
 
-    fn num_gaussians(&self) -> usize {
-        self.0.num_gaussians()
+    fn num_identities(&self) -> Option<usize> {
+        self.0.num_identities()
     }
 
     fn num_gaussians_at(&self, timestep: usize) -> usize {

@@ -102,10 +102,7 @@ impl Scales<'_> {
     fn error_of_floats(&mut self) -> Result<f64, PipelineError> {
         let Pruned::Whole { kept, lives, .. } = &self.pruned.content else { return Ok(0.0) };
         self.sum(kept.num_gaussians(), &|timestep| kept.at(timestep), &|gaussian, timestep| {
-            lives.as_ref().is_none_or(|lives| {
-                let [first, last] = lives[gaussian].map(usize::from);
-                (first..=last).contains(&timestep)
-            })
+            lives.as_ref().is_none_or(|lives| lives[gaussian].contains(timestep))
         })
     }
 

@@ -3,9 +3,9 @@
 //! Training removes Gaussians that the colour loss does not miss. Many of the others are hidden, or smaller than a
 //! pixel. Each costs as much as any other. Together they matter little enough for refinement to make up for them.
 
-use std::ops::RangeInclusive;
+use std::ops::Range;
 
-use tcgs_core::{Camera, Gaussians, Image, activate, cameras_between};
+use tcgs_core::{Camera, Gaussians, Image, Life, Lives, activate, cameras_between};
 use tcgs_render::{CpuRasterizer, blending_weights, weights_step};
 use tcgs_train::are_in_images;
 
@@ -24,9 +24,9 @@ pub struct Seen {
     /// The largest number of pixels that it makes up at a timestep, in images and pictures from between, as a share of
     /// those of all images.
     pub share: f32,
-    /// Last timestep that it has to live to: afterwards its share stays below the least. The last of all if no training
-    /// camera ever sees it, since there are few pictures from between.
-    pub last: u16,
+    /// First timestep from which its share stays below the least, so that it need not live. [`Life::NEVER`] if no
+    /// training camera ever sees it, since there are few pictures from between.
+    pub until: u32,
     /// Whether its centre is in an image, hidden or not. If it never is, the images do not tell whether it is needed.
     pub is_in_images: bool,
 }
@@ -35,14 +35,14 @@ pub struct Seen {
 /// next look are looked at as they are born, among the others.
 ///
 /// - `kept`: of at least one timestep
-/// - `lives`: `[N]` first and last timestep of each one's life
+/// - `lives`: `[N]`
 /// - `cameras`: of the images; at least one
 /// - `least`: share below which a Gaussian is not seen
 /// - returns: `[N]`
 ///
 /// # Errors
 /// [`PipelineError`] if a timestep cannot be read.
-pub fn seen(kept: &Kept, lives: &[[u16; 2]], cameras: &[Camera], least: f32) -> Result<Vec<Seen>, PipelineError> {
+pub fn seen(kept: &Kept, lives: &Lives, cameras: &[Camera], least: f32) -> Result<Vec<Seen>, PipelineError> {
     let cameras: Vec<Camera> = cameras.iter().map(|camera| camera.downscaled(weights_step(camera))).collect();
     let num_pixels: usize = cameras.iter().map(|camera| camera.width * camera.height).sum();
     let num_timesteps = kept.num_timesteps();
@@ -52,16 +52,16 @@ pub fn seen(kept: &Kept, lives: &[[u16; 2]], cameras: &[Camera], least: f32) -> 
     let mut is_seen_in_images = vec![false; seen.len()];
     for timestep in (0..num_timesteps).step_by(stride) {
         // It is not known when between two looks it vanished.
-        let last = (timestep + stride).min(num_timesteps) - 1;
+        let until = (timestep + stride).min(num_timesteps);
         let turn = num_between * (timestep / stride);
         let between = cameras_between(&cameras, turn..turn + num_between);
         let gaussians = kept.at(timestep)?;
-        let rows_of = |births: RangeInclusive<usize>| {
+        let rows_of = |births: Range<usize>| {
             let is_due =
-                |&row: &usize| births.contains(&usize::from(lives[row][0])) && usize::from(lives[row][1]) >= timestep;
+                |&row: &usize| births.contains(&(lives[row].birth as usize)) && lives[row].death as usize > timestep;
             (0..lives.len()).filter(is_due).collect::<Vec<usize>>()
         };
-        let (mut rows, newborn) = (rows_of(0..=timestep), rows_of(timestep + 1..=last));
+        let (mut rows, newborn) = (rows_of(0..timestep + 1), rows_of(timestep + 1..until));
         let weights_of = |rows: &[usize]| {
             let gaussians = gaussians.select(rows);
             [&cameras, &between].map(|cameras| weights_of(&gaussians, cameras))
@@ -82,13 +82,13 @@ pub fn seen(kept: &Kept, lives: &[[u16; 2]], cameras: &[Camera], least: f32) -> 
             seen.is_in_images |= are_in[i];
             seen.share = seen.share.max(with_between);
             if with_between >= least {
-                seen.last = last as u16;
+                seen.until = until as u32;
             }
             is_seen_in_images[row] |= share >= least;
         }
     }
     let hidden = seen.iter_mut().zip(is_seen_in_images).filter(|(_, is_seen)| !is_seen);
-    hidden.for_each(|(seen, _)| seen.last = u16::MAX);
+    hidden.for_each(|(seen, _)| seen.until = Life::NEVER);
     Ok(seen)
 }
 
@@ -124,16 +124,19 @@ mod tests {
         (0..60).for_each(|_| scene.push(gaussians.clone()));
         let kept = Kept::InMemory(scene);
         let camera = Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 60.0, 64, 48);
-        let look = |lives: [[u16; 2]; 3]| seen(&kept, &lives, std::slice::from_ref(&camera), 1e-3).unwrap();
-        let hidden = look([[0, 59], [0, 59], [0, 59]]);
+        let look = |lives: [(u32, u32); 3]| {
+            let lives = lives.map(|(birth, death)| Life { birth, death }).into();
+            seen(&kept, &lives, std::slice::from_ref(&camera), 1e-3).unwrap()
+        };
+        let hidden = look([(0, 60), (0, 60), (0, 60)]);
         assert!(hidden.iter().all(|seen| seen.is_in_images), "{hidden:?}");
-        assert!(hidden[0].share > 0.01 && hidden[1].share < 1e-3 && hidden[1].last == u16::MAX, "{hidden:?}");
+        assert!(hidden[0].share > 0.01 && hidden[1].share < 1e-3 && hidden[1].until == Life::NEVER, "{hidden:?}");
         // The first dies at the last look, and the third is born after it.
-        let found = look([[0, 57], [0, 59], [59, 59]]);
-        assert_eq!(found.iter().map(|seen| seen.last).collect::<Vec<_>>(), [57, 59, 59]);
+        let found = look([(0, 58), (0, 60), (59, 60)]);
+        assert_eq!(found.iter().map(|seen| seen.until).collect::<Vec<_>>(), [58, 60, 60]);
         assert!(found.iter().all(|seen| seen.share > 1e-3), "{found:?}");
         // Nor does one that is not born yet.
-        let found = look([[31, 59], [0, 59], [0, 59]]);
-        assert_eq!((found[0].last, found[1].last), (59, 31));
+        let found = look([(31, 60), (0, 60), (0, 60)]);
+        assert_eq!((found[0].until, found[1].until), (60, 32));
     }
 }

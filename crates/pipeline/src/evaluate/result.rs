@@ -1,6 +1,7 @@
 //! The JSON output of an evaluation, and the metrics that every evaluation has.
 
 use serde_json::{Map, Value, json};
+use tcgs_core::SceneReader;
 use tcgs_metrics::Protocol;
 
 use super::{Evaluation, ImageScore};
@@ -47,7 +48,7 @@ pub fn evaluation_json(scene: &OpenScene, evaluation: &Evaluation, protocol: Opt
     let mut result = json!({
         "scene": scene.path.display().to_string(),
         "protocol": protocol.map(|protocol| protocol.rules().name),
-        "num_gaussians": scene.num_gaussians(),
+        "num_gaussians": scene.num_identities().unwrap_or_else(|| scene.max_gaussians()),
         "num_timesteps": scene.num_timesteps(),
         "bytes": scene.bytes,
         "flicker": evaluation.flicker,

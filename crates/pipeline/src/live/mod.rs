@@ -206,8 +206,9 @@ impl LiveRun {
         let values = gaussians.layout().raw_bytes(gaussians.num_gaussians().max(1), 1) as usize / size_of::<f32>();
         let begin = end - end.min(MAX_TIMESTEPS).min(MAX_VALUES / values).max(1);
         // Starts at the last death, since earlier timesteps have other Gaussians.
-        let deaths = run.lives(end)?.map(|lives| lives.deaths).unwrap_or_default();
-        let begin = deaths.into_iter().map(|death| death as usize).filter(|&death| death < end).fold(begin, usize::max);
+        let lives = run.lives(end)?.unwrap_or_default();
+        let deaths = lives.iter().map(|life| life.death as usize).filter(|&death| death < end);
+        let begin = deaths.fold(begin, usize::max);
         let at = |timestep| match timestep {
             0 => Ok(first.parameters.clone()),
             _ => run.parameters(timestep, Some(&first)),

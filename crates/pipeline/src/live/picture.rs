@@ -4,7 +4,7 @@ use tcgs_capture::Capture;
 use tcgs_codec::{
     BitMap, CompactFile, CompressSettings, FileCamera, SceneInfo, UpAxis, VIEWS, compress_ordered, write_views,
 };
-use tcgs_core::{Camera, Drawable, DynamicGaussians, Gaussians, View};
+use tcgs_core::{Camera, Drawable, DynamicGaussians, Gaussians, Life, Lives, View};
 use tcgs_metrics::psnr;
 use tcgs_render::{CpuRasterizer, Draw, RenderSettings};
 use tcgs_train::{Parameters, TrainConfig, masked_out};
@@ -89,8 +89,9 @@ impl Picture {
         }
         let mut scene = DynamicGaussians::new(all[0].layout().clone());
         all.into_iter().rev().for_each(|gaussians| scene.push(gaussians.select(&keep)));
-        let birth = |i: usize| timesteps.partition_point(|parameters| parameters.num_gaussians() <= i) as u16;
-        let lives: Vec<[u16; 2]> = keep.iter().map(|&i| [birth(i), last as u16]).collect();
+        let birth = |i: usize| timesteps.partition_point(|parameters| parameters.num_gaussians() <= i) as u32;
+        let death = timesteps.len() as u32;
+        let lives: Lives = keep.iter().map(|&i| Life { birth: birth(i), death }).collect();
 
         let info = SceneInfo {
             name: self.name.clone(),
@@ -103,8 +104,8 @@ impl Picture {
         let bits = BitMap::uniform_of(scene.layout(), keep.len(), POSITION_BITS, BITS);
         let settings = CompressSettings { keypoints: false, ..CompressSettings::default() };
         let (compact, order) = compress_ordered(&scene, &bits, None, info, &settings)?;
-        let compact = match lives.iter().any(|life| life[0] > 0) {
-            true => compact.with_lives(order.iter().map(|&i| lives[i]).collect()),
+        let compact = match lives.iter().any(|life| life.birth > 0) {
+            true => compact.with_lives(lives.select(&order)),
             false => compact,
         };
         Ok(CompactFile::of(compact).encode(tcgs_codec::FORMAT_VERSION, &[(VIEWS, &self.views)])?)

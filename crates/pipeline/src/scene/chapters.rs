@@ -27,7 +27,7 @@ impl Chapters {
         check(&scenes)?;
         let all = scenes[0].frames().start..scenes.last().map_or(0, |last| last.frames().end);
         let settings = CompressSettings { segment_length, ..CompressSettings::default() };
-        let segment_length = settings.segment_length_of(scenes[0].num_gaussians(), all.len());
+        let segment_length = settings.segment_length_of(scenes[0].num_gaussians_at(0), all.len());
         let mut starts = vec![all.start];
         for pair in scenes.windows(2) {
             let (later, end) = (pair[1].frames().start, pair[0].frames().end);
@@ -104,7 +104,7 @@ fn check(scenes: &[OpenScene]) -> Result<(), PipelineError> {
             let expected = format!("more, since {} ends there or later", before.path.display());
             return refuse(scene, format!("ends with frame {}", frames.end - 1), expected);
         }
-        let (found, expected) = (scene.num_gaussians(), first.num_gaussians());
+        let (found, expected) = (scene.num_gaussians_at(0), first.num_gaussians_at(0));
         let as_first = format!(
             "those of {} in the same order, since a .tcgs file has the same Gaussians at all timesteps: \
              chapters start from one run (train --start-from)",

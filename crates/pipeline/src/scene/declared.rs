@@ -131,7 +131,8 @@ impl OpenScene {
             Content::File(file) => {
                 let decode_error = |error| PipelineError::Decode { path: self.path.clone(), error };
                 let data = file.file().application_data().map_err(decode_error)?;
-                let of_all = read_labels(&data).and_then(|labels| labels.members(FOREGROUND, self.num_gaussians()));
+                let of_all =
+                    read_labels(&data).and_then(|labels| labels.members(FOREGROUND, file.info.num_gaussians as usize));
                 let living = self.living(timestep)?;
                 of_all.zip(living).map(|(of_all, living)| living.into_iter().map(|g| of_all[g]).collect())
             }
@@ -163,7 +164,7 @@ impl OpenScene {
             None => self.foreground(0)?,
             Some(lives) => {
                 let mut of_all = vec![true; lives.len()];
-                let births: BTreeSet<usize> = lives.births.iter().map(|&birth| birth as usize).collect();
+                let births: BTreeSet<usize> = lives.iter().map(|life| life.birth as usize).collect();
                 for timestep in births.into_iter().take_while(|&timestep| timestep < self.num_timesteps()) {
                     let Some(now) = self.foreground(timestep)? else { return Ok(None) };
                     lives

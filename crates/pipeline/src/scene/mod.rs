@@ -17,9 +17,8 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tcgs_codec::{CompactFile, Light, Loss, SceneFile, SceneInfo};
-use tcgs_core::{Drawable, DynamicGaussians, Gaussians, Layout, SceneReader};
+use tcgs_core::{Drawable, DynamicGaussians, Gaussians, Layout, Lives, SceneReader};
 use tcgs_interchange::{Axes, FourdgsFile, ParamsNpz, ReadLimits, ReadNote, TimestepFiles};
-use tcgs_train::Lives;
 
 use self::chapters::Chapters;
 pub use self::open::{CutFiles, OpenSettings};
@@ -40,7 +39,7 @@ use crate::PipelineError;
 /// write_params_npz(&path, &floats, &ParamsExtras::default())?;
 ///
 /// let scene = OpenScene::open(&path, OpenSettings::default())?;
-/// assert_eq!((scene.num_gaussians(), scene.frames()), (5, 0..1));
+/// assert_eq!((scene.num_identities(), scene.frames()), (Some(5), 0..1));
 /// assert_eq!(scene.at(0)?, floats.at(0));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -74,7 +73,7 @@ enum Content {
     Chapters(Box<Chapters>),
     Floats {
         scene: Box<DynamicGaussians>,
-        /// Lifetimes; none if all Gaussians live at every timestep.
+        /// None if all Gaussians live at all timesteps.
         lives: Option<Lives>,
         kind: &'static str,
     },
@@ -136,7 +135,7 @@ impl OpenScene {
         }
         let chapters = Chapters::join(chapters, segment_length)?;
         let first = chapters.first();
-        let bytes = first.layout.raw_bytes(first.num_gaussians(), chapters.num_timesteps());
+        let bytes = first.layout.raw_bytes(first.num_gaussians_at(0), chapters.num_timesteps());
         let (path, layout) = (first.path.clone(), Arc::clone(&first.layout));
         let Self { first_frame, downscale, frame_rate, .. } = *first;
         let content = Content::Chapters(Box::new(chapters));
@@ -169,7 +168,7 @@ impl OpenScene {
     /// let mut floats = DynamicGaussians::default();
     /// floats.push(Gaussians::zeros(5));
     /// let scene = OpenScene::of_floats(Path::new("made here"), floats, 30.0);
-    /// assert_eq!((scene.num_gaussians(), scene.kind()), (5, "floats"));
+    /// assert_eq!((scene.num_identities(), scene.kind()), (Some(5), "floats"));
     /// ```
     pub fn of_floats(name: &Path, floats: DynamicGaussians, frame_rate: f64) -> Self {
         let (path, bytes, layout) = (name.into(), floats.raw_bytes(), Arc::clone(floats.layout()));
@@ -193,8 +192,7 @@ impl OpenScene {
     /// As [`Self::floats`].
     pub fn pruned(&self, keep: &[usize]) -> Result<Self, PipelineError> {
         let scene = Box::new(self.floats()?.select(keep));
-        let of = |column: &[u32]| keep.iter().map(|&i| column[i]).collect();
-        let lives = self.lives().map(|lives| Lives { births: of(&lives.births), deaths: of(&lives.deaths) });
+        let lives = self.lives().map(|lives| lives.select(keep));
         Ok(self.with(Arc::clone(scene.layout()), Content::Floats { scene, lives, kind: "pruned" }))
     }
 
@@ -253,33 +251,37 @@ impl OpenScene {
         matches!(self.content, Content::File(_) | Content::Symbols(_))
     }
 
-    /// `N`, for a run before pruning. If Gaussians come and go, it counts all that ever live. If the files do not
-    /// identify Gaussians across timesteps, it is the largest number at any timestep.
-    pub fn num_gaussians(&self) -> usize {
-        match &self.content {
+    /// Number of Gaussians that live at some timestep, for a run before pruning. None if the files do not identify
+    /// Gaussians across timesteps, and their number changes.
+    pub fn num_identities(&self) -> Option<usize> {
+        Some(match &self.content {
             Content::File(file) => file.info.num_gaussians as usize,
-            Content::Symbols(compact) => compact.num_gaussians(),
-            Content::Run(run) => run.num_gaussians(),
-            Content::Chapters(chapters) => chapters.first().num_gaussians(),
+            Content::Symbols(compact) => compact.num_identities(),
+            Content::Run(run) => run.num_identities(),
+            Content::Chapters(chapters) => return chapters.first().num_identities(),
             Content::Floats { scene, .. } => scene.num_gaussians(),
             Content::Params(params) => params.num_gaussians,
-            Content::TimestepFiles(files) => files.num_gaussians(),
-            Content::Fourdgs(file) => file.num_gaussians(),
-        }
+            Content::TimestepFiles(files) => return files.num_identities(),
+            Content::Fourdgs(file) => return file.num_identities(),
+        })
     }
 
-    /// Number of Gaussians at one timestep, for a run before pruning.
+    /// Number of Gaussians at one timestep, for a run before pruning. An upper bound for a `.tcgs` file in which
+    /// Gaussians are born or die, because opening it does not read all lives.
     ///
     /// # Panics
     /// If the number changes over time and there is no such timestep.
     pub fn num_gaussians_at(&self, timestep: usize) -> usize {
         match &self.content {
             Content::File(file) => file.file().num_gaussians_at(timestep),
+            Content::Symbols(compact) => compact.num_gaussians_at(timestep),
+            Content::Run(run) => run.num_gaussians_at(timestep),
+            Content::Chapters(chapters) => chapters.first().num_gaussians_at(0),
+            Content::Floats { lives: Some(lives), .. } => lives.num_living(timestep),
+            Content::Floats { scene, .. } => scene.num_gaussians(),
+            Content::Params(params) => params.num_gaussians,
             Content::TimestepFiles(files) => files.num_gaussians_at(timestep),
             Content::Fourdgs(file) => file.num_gaussians_at(timestep),
-            Content::Run(run) => run.num_gaussians_at(timestep),
-            Content::Floats { lives: Some(lives), .. } => lives.living(timestep).len(),
-            _ => self.num_gaussians(),
         }
     }
 
@@ -393,7 +395,7 @@ impl OpenScene {
                 Err(PipelineError::input(self.path.display(), "is compressed already", "a scene of floats"))
             }
             Content::Run(run) => Ok(Cow::Owned(run.run.trained_until(run.num_timesteps)?.scene)),
-            Content::Fourdgs(_) if !self.has_constant_number() => {
+            Content::Fourdgs(_) if !self.all_live() => {
                 let expected = "the same Gaussians at every timestep";
                 Err(PipelineError::input(self.path.display(), "has a changing number of Gaussians", expected))
             }
@@ -432,8 +434,8 @@ impl SceneReader for OpenScene {
         &self.layout
     }
 
-    fn num_gaussians(&self) -> usize {
-        OpenScene::num_gaussians(self)
+    fn num_identities(&self) -> Option<usize> {
+        OpenScene::num_identities(self)
     }
 
     fn num_gaussians_at(&self, timestep: usize) -> usize {

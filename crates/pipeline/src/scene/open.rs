@@ -67,7 +67,7 @@ impl OpenScene {
             }
             Kind::Npz => {
                 let params = ParamsNpz::open(path, settings.read.limits)?;
-                let (num_gaussians, num_timesteps) = (params.num_gaussians(), params.num_timesteps());
+                let (num_gaussians, num_timesteps) = (params.num_gaussians_at(0), params.num_timesteps());
                 let layout = Arc::clone(params.layout());
                 let unknown = ParamsOrigin { first_frame: 0, downscale: 1, frame_rate: 30.0 };
                 let declared = tcgs_interchange::read_params_origin(path, settings.read.limits)?;
@@ -195,7 +195,7 @@ impl OpenScene {
             first_frame: data.first_frame,
             downscale: data.downscale,
             frame_rate: data.frame_rate,
-            bytes: gaussians.layout().raw_bytes(content.num_gaussians(), num_timesteps),
+            bytes: gaussians.layout().raw_bytes(content.num_identities(), num_timesteps),
             layout: Arc::clone(gaussians.layout()),
             content: Content::Run(Box::new(content)),
         })

@@ -4,7 +4,8 @@ use std::path::Path;
 
 use tcgs_capture::Capture;
 use tcgs_codec::{BitMap, Quantizers};
-use tcgs_train::{Checkpoint, Lives, Parameters, Run, StandIns, TrainError};
+use tcgs_core::Lives;
+use tcgs_train::{Checkpoint, Parameters, Run, StandIns, TrainError};
 
 use super::Content;
 use crate::{OpenScene, PipelineError, capture_for};
@@ -20,13 +21,13 @@ pub(super) struct RunContent {
 }
 
 impl RunContent {
-    pub fn num_gaussians(&self) -> usize {
-        self.lives.as_ref().map_or(self.first.parameters.num_gaussians(), Lives::len)
+    pub fn num_identities(&self) -> usize {
+        self.lives.as_ref().map_or(self.first.parameters.num_gaussians(), |lives| lives.len())
     }
 
     pub fn num_gaussians_at(&self, timestep: usize) -> usize {
         let lives = self.lives.as_ref();
-        lives.map_or(self.first.parameters.num_gaussians(), |lives| lives.living(timestep).len())
+        lives.map_or(self.first.parameters.num_gaussians(), |lives| lives.num_living(timestep))
     }
 
     pub fn checkpoint(&self, timestep: usize) -> Result<Checkpoint, PipelineError> {
@@ -77,7 +78,7 @@ impl OpenScene {
         }
     }
 
-    /// Lifetimes of a run's Gaussians; none if all live at every timestep.
+    /// Lives of a run's Gaussians; none if all live at all timesteps.
     pub(crate) fn lives(&self) -> Option<&Lives> {
         match &self.content {
             Content::Run(run) => run.lives.as_ref(),
@@ -103,7 +104,7 @@ impl OpenScene {
         let Content::Run(run) = &self.content else { return Ok(None) };
         // Includes the bits of dead Gaussians.
         let Some(first) = &run.first.quantizers else { return Ok(None) };
-        let bit_map = first.bit_map_of(run.num_gaussians());
+        let bit_map = first.bit_map_of(run.num_identities());
         let last = run.checkpoint(run.num_timesteps - 1)?;
         Ok(last.quantizers.map(|q| (bit_map, q.table())))
     }

@@ -94,7 +94,7 @@ pub fn compare(file: &OpenScene, source: &OpenScene, observer: &mut dyn Observer
     let (layout, num_timesteps) = (SceneReader::layout(file).clone(), file.num_timesteps());
     let expected_as = |what: String| format!("{what} as {}", file.path.display());
     // The layout of a file without Gaussians carries no information.
-    if *SceneReader::layout(source) != layout && file.num_gaussians() > 0 {
+    if *SceneReader::layout(source) != layout && file.num_identities() != Some(0) {
         let found = format!("has the columns {}", SceneReader::layout(source));
         return Err(PipelineError::input(source.path.display(), found, expected_as(layout.to_string())));
     }

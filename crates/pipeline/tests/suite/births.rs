@@ -6,13 +6,13 @@ use crate::support::{files, open};
 use serde_json::json;
 use tcgs_capture::Capture;
 use tcgs_codec::{CompressSettings, UpAxis};
-use tcgs_core::{Attribute, PointCloud, SceneReader};
+use tcgs_core::{Attribute, Life, Lives, PointCloud, SceneReader};
 use tcgs_interchange::{ReadLimits, read_params_foreground, read_params_npz};
 use tcgs_pipeline::{
     Backend, CompressOptions, Export, LiveRun, Marks, OpenScene, OpenSettings, PrunedScene, compress_scene,
     kept_gaussians, new_trainer, start_state,
 };
-use tcgs_train::{Checkpoint, Lifetimes, Lives, Parameters, Run, TrainConfig};
+use tcgs_train::{Checkpoint, Lifetimes, Parameters, Run, TrainConfig};
 
 const NUM_TIMESTEPS: usize = 12;
 const NUM_GAUSSIANS: usize = 235;
@@ -20,8 +20,8 @@ const NUM_GAUSSIANS: usize = 235;
 /// Some are born at timesteps 4 and 9; ten of those of the start and five of those born at 4 die at 7.
 fn lives() -> Lives {
     let birth = |i: usize| if i < 200 { 0 } else { 4 + 5 * u32::from(i >= 230) };
-    let death = |i: usize| if (10..20).contains(&i) || (205..210).contains(&i) { 7 } else { Lives::NEVER };
-    Lives { births: (0..NUM_GAUSSIANS).map(birth).collect(), deaths: (0..NUM_GAUSSIANS).map(death).collect() }
+    let death = |i: usize| if (10..20).contains(&i) || (205..210).contains(&i) { 7 } else { Life::NEVER };
+    (0..NUM_GAUSSIANS).map(|i| Life { birth: birth(i), death: death(i) }).collect()
 }
 
 /// How many Gaussians there are at a timestep.
@@ -73,10 +73,9 @@ fn run_of(lives: &Lives, folder: &Path, first_frame: usize, hidden: &[usize]) ->
         }
         let mut checkpoint = Checkpoint::of_parameters(parameters, std::slice::from_ref(&camera));
         // A timestep knows its births and deaths so far.
-        let mut known = lives.clone();
-        known.births.retain(|&birth| birth as usize <= timestep);
-        known.deaths.truncate(known.births.len());
-        known.deaths.iter_mut().filter(|death| **death as usize > timestep).for_each(|death| *death = Lives::NEVER);
+        let born = lives.iter().filter(|life| life.birth as usize <= timestep);
+        let known = born.map(|&life| if life.death as usize > timestep { Life::since(life.birth) } else { life });
+        let known = known.collect();
         checkpoint.lifetimes = Lifetimes { ids: living.iter().map(|&i| i as u32).collect(), lives: known };
         run.save(timestep, &checkpoint).unwrap();
     }
@@ -88,7 +87,7 @@ fn a_file_shows_each_gaussian_from_its_birth_to_its_death() {
     let folder = tempfile::tempdir().unwrap();
     let run = run(folder.path(), 0, &[]);
     let mut scene = OpenScene::open(run.folder(), OpenSettings::default()).unwrap();
-    assert_eq!((scene.num_gaussians(), scene.num_gaussians_at(3)), (235, 200));
+    assert_eq!((scene.num_identities(), scene.num_gaussians_at(3)), (Some(235), 200));
     let (whole, first) = (run.trained().unwrap(), run.checkpoint(0, None).unwrap());
     assert_eq!(whole.lives, Some(lives()));
     let pruned = scene.pruned(&kept_gaussians(&scene, None).unwrap()).unwrap();
@@ -102,8 +101,8 @@ fn a_file_shows_each_gaussian_from_its_birth_to_its_death() {
         // Before its birth each stands as it is born, after its death as it died.
         let all = whole.scene.at(timestep);
         for i in 0..NUM_GAUSSIANS {
-            let death = lives().deaths[i].min(NUM_TIMESTEPS as u32) as usize;
-            let shown = timestep.clamp(lives().births[i] as usize, death - 1);
+            let life = lives()[i].within(0..NUM_TIMESTEPS as u32);
+            let shown = timestep.clamp(life.birth as usize, life.death as usize - 1);
             let row = lives().living(shown).binary_search(&i).unwrap();
             let own = run.parameters(shown, Some(&first).filter(|_| shown > 0)).unwrap().gaussians;
             assert_eq!(all.means()[i], own.means()[row], "Gaussian {i} at timestep {timestep}");
@@ -139,7 +138,7 @@ fn a_file_shows_each_gaussian_from_its_birth_to_its_death() {
 #[test]
 fn a_file_of_version_1_is_refused_where_somebody_dies_although_nobody_is_born() {
     let folder = tempfile::tempdir().unwrap();
-    let lives = Lives { births: vec![0; NUM_GAUSSIANS], ..lives() };
+    let lives = lives().iter().map(|&life| Life { birth: 0, ..life }).collect();
     let scene = open(run_of(&lives, folder.path(), 0, &[]).folder());
     let capture = Some(files().join("capture"));
     for min_share in [0.0, 1e-9] {
@@ -166,7 +165,7 @@ fn other_programs_files_have_who_lives_and_is_not_masked() {
     let params = export.params(9..12).unwrap();
     let path = folder.path().join("params.npz");
     params.write(&mut std::fs::File::create(&path).unwrap()).unwrap();
-    assert_eq!(open(&path).num_gaussians(), count(9) - 3);
+    assert_eq!(open(&path).num_gaussians_at(0), count(9) - 3);
     let error = export.params(5..8).err().unwrap().to_string();
     assert!(error.contains("227 Gaussians at frame 5 and 213 at frame 7"), "{error}");
     assert!(error.ends_with("or the frames 5..7 alone"), "{error}");
@@ -232,9 +231,8 @@ fn a_file_says_which_gaussians_are_foreground() {
 fn who_is_born_when_another_dies_is_not_taken_for_it() {
     let folder = tempfile::tempdir().unwrap();
     let birth = |i: usize| if i < 225 { 0 } else { 4 };
-    let death = |i: usize| if (10..20).contains(&i) { 4 } else { Lives::NEVER };
-    let lives =
-        Lives { births: (0..NUM_GAUSSIANS).map(birth).collect(), deaths: (0..NUM_GAUSSIANS).map(death).collect() };
+    let death = |i: usize| if (10..20).contains(&i) { 4 } else { Life::NEVER };
+    let lives = (0..NUM_GAUSSIANS).map(|i| Life { birth: birth(i), death: death(i) }).collect();
     let scene = open(run_of(&lives, folder.path(), 0, &[]).folder());
     let options = CompressOptions { bits: Some((8, 8)), views: 0, ..CompressOptions::default() };
     let file = folder.path().join("scene.tcgs");

@@ -56,9 +56,9 @@ fn removal_takes_the_error_that_is_allowed() {
     let options = CompressOptions::default();
     let without = |removal| refined(&scene, &options, Allowance { rounding: None, removal });
     let all = without(0.0);
-    let count = all.compact.num_gaussians();
+    let count = all.compact.num_identities();
     // The error of this short training falls when some Gaussians go.
-    let counts = [0.0, 0.02, 1e6].map(|share| without(share).compact.num_gaussians());
+    let counts = [0.0, 0.02, 1e6].map(|share| without(share).compact.num_identities());
     assert!(counts[0] == count && count > counts[1] && counts[1] >= counts[2], "{counts:?} of {count}");
     assert!(5 * counts[2] >= 2 * count, "{counts:?}: at most three of five of {count} go");
     let some = without(0.02);

@@ -203,9 +203,9 @@ impl CohortOnGpu {
             let opacities = activate(first).opacities;
             let rows = lives.iter().zip(&opacities).zip(0..);
             let rows: Vec<[u32; 2]> = rows
-                .map(|((&[first, last], opacity), g)| {
+                .map(|((life, opacity), g)| {
                     let opacity = if moving.contains(&g) { MOVES } else { opacity.to_bits() };
-                    [u32::from(first) | u32::from(last) << 16, opacity]
+                    [life.birth | (life.death - 1) << 16, opacity]
                 })
                 .collect();
             let (rows, tracks) = (gpu.upload("lives", &rows)?, tracks(at(Attribute::LogitOpacity), 0)?);

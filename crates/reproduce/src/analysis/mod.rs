@@ -60,7 +60,7 @@ fn kept(run: &Run, trained: &TrainedScene) -> (DynamicGaussians, Vec<bool>) {
 fn throughout(trained: &TrainedScene) -> Vec<Vec<f32>> {
     let Some(lives) = &trained.lives else { return trained.mask_logits.clone() };
     let last = trained.mask_logits.len().saturating_sub(1);
-    let whole = |id: &usize| lives.births[*id] == 0 && lives.deaths[*id] as usize > last;
+    let whole = |id: &usize| lives[*id].birth == 0 && lives[*id].death as usize > last;
     let of_timestep = |(timestep, logits): (usize, &Vec<f32>)| {
         let living = lives.living(timestep);
         living.iter().zip(logits).filter(|(id, _)| whole(id)).map(|(_, &logit)| logit).collect()

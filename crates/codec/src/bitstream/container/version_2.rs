@@ -24,7 +24,7 @@ const PLACE_BYTES: usize = 36;
 const CHECKSUM_AT: usize = 16;
 /// Largest number of cohorts.
 const MAX_COHORTS: usize = 1 << 20;
-/// Flag of a cohort in which Gaussians have first and last timesteps of their own.
+/// Flag of a cohort in which Gaussians have lives of their own.
 const HAS_LIVES: u8 = 1;
 /// Flag of a cohort: drawn with antialiasing, like all others of the file.
 const IS_ANTIALIASED: u8 = 2;

@@ -9,7 +9,7 @@ use std::rc::Rc;
 use std::sync::Arc;
 
 use tcgs_codec::{BitMap, CompactScene, CompressSettings, SceneInfo, compress, encode, encode_cohorts};
-use tcgs_core::{DynamicGaussians, Gaussians, Layout};
+use tcgs_core::{DynamicGaussians, Gaussians, Layout, Life};
 use tcgs_play::{BytesSource, Piece, Player, PlayerSettings, RangeSource, SourceError};
 
 #[path = "../../../../codec/tests/suite/support/scenes.rs"]
@@ -56,7 +56,8 @@ pub fn cohorts_file(num_gaussians: usize, layout: &Arc<Layout>) -> Vec<u8> {
     };
     let n = num_gaussians;
     let mut cohorts = vec![cohort(n, 0, 12, 0.0)];
-    let lives = (0..n / 2).map(|g| [[0, 5], [1, 3], [2, 2], [0, 5]][g % 4]).collect();
+    let life = |g: usize| [(0, 6), (1, 4), (2, 3), (0, 6)][g % 4];
+    let lives = (0..n / 2).map(life).map(|(birth, death)| Life { birth, death }).collect();
     let brief = cohort(n / 2, 3, 6, 1.0).with_lives(lives);
     cohorts.extend((0..12).map(|t| cohort(n / 8 + 10 * t as usize, t, 1, 0.1 * t as f32 - 2.0)));
     cohorts.push(brief);
