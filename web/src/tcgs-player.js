@@ -10,7 +10,7 @@ const PAGE = new URL("./index.html", import.meta.url);
  */
 
 /**
- * The file's description of its scene.
+ * The file's description of its scene. `numGaussians` counts all Gaussians that live at some timestep.
  * @typedef {{
  *   name: string, numGaussians: number, numTimesteps: number, frameRate: number, bytes: number, cameras: string[]
  * }} Info

@@ -107,7 +107,7 @@ fn add(result: &mut Value, comparison: &Comparison) {
     let of = |compared: &Compared| json!({ "declared": compared.declared.map(f64::from), "found": compared.found });
     let errors = comparison.attributes.iter().map(|compared| (compared.name.clone(), of(compared)));
     result["errors"] = errors.collect::<Map<_, _>>().into();
-    result["num_compared"] = json!(comparison.num_gaussians);
+    result["num_compared"] = json!(comparison.num_compared);
     result["num_beyond"] = json!(comparison.num_beyond);
     result["num_pruned"] = json!(comparison.num_pruned);
     result["holds"] = json!(comparison.holds());
@@ -127,10 +127,10 @@ fn judge(comparison: &Comparison, arguments: &Arguments) -> anyhow::Result<()> {
     } else if !silent.is_empty() {
         anyhow::bail!("{file}: declares no error of {silent}, expected a file of format 2, as `tcgs compress` makes it")
     } else if larger.is_empty() {
-        let (beyond, all) = (comparison.num_beyond, comparison.num_gaussians);
+        let (beyond, all) = (comparison.num_beyond, comparison.num_compared);
         anyhow::bail!("{file}: {beyond} of {all} Gaussians of all timesteps are none of the source, expected all")
     } else {
-        let (beyond, all) = (comparison.num_beyond, comparison.num_gaussians);
+        let (beyond, all) = (comparison.num_beyond, comparison.num_compared);
         anyhow::bail!(
             "{file}: {beyond} of {all} Gaussians of all timesteps are none of the source within the declared errors \
              ({larger}), expected all"

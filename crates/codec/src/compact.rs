@@ -29,7 +29,7 @@ pub(crate) const MAX_TIMESTEPS: u32 = 1 << 16;
 /// ```
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SceneInfo {
-    /// `N`, the number of Gaussians.
+    /// `N`, the number of Gaussians that live at some timestep.
     pub num_gaussians: u32,
     /// `T`, the number of timesteps, at least 1; at most 65536 in a file of version 1 and in a [`CompactScene`].
     pub num_timesteps: u32,

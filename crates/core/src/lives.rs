@@ -1,4 +1,4 @@
-//! Who lives when: the timesteps of each Gaussian of a scene in which Gaussians are born and die.
+//! Lives of Gaussians: the timesteps of each in a scene in which Gaussians are born and die.
 //!
 //! An identity is the number of a Gaussian in its scene. It is given once, and is the same at all timesteps.
 

@@ -18,7 +18,7 @@ pub trait SceneReader {
     /// `T`.
     fn num_timesteps(&self) -> usize;
 
-    /// Number of Gaussians at one timestep.
+    /// Number of Gaussians at one timestep. A `.tcgs` file gives an upper bound if Gaussians are born or die in it.
     ///
     /// # Panics
     /// If `timestep` is not below [`Self::num_timesteps`], where the number changes.

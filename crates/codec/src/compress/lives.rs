@@ -5,8 +5,8 @@ use tcgs_core::{Life, Lives};
 use crate::compact::{CompactScene, Tracks};
 
 impl CompactScene {
-    /// Restricts each Gaussian to its life. Keypoints outside the life are dropped; at both ends of the life tracks keep
-    /// their values, rounded to codes.
+    /// Restricts each Gaussian to its life. Keypoints outside the life are dropped. At both ends of the life tracks
+    /// keep their values, rounded to codes.
     ///
     /// - `lives`: `[N]`
     ///

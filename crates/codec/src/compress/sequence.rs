@@ -36,8 +36,8 @@ const MIN_COSINE: f32 = 0.9;
 pub struct Followed {
     /// First timestep.
     pub start: usize,
-    /// All Gaussians of the part. Before its life a Gaussian has the values of its first timestep, after it those of its
-    /// last.
+    /// All Gaussians of the part. Before its life a Gaussian has the values of its first timestep, after its life
+    /// those of its last.
     pub scene: DynamicGaussians,
     /// `[N]` lives, counted from [`Self::start`].
     pub lives: Lives,

@@ -143,7 +143,7 @@ pub struct Compressed {
     pub file: Vec<u8>,
     /// The same as symbols.
     pub compact: CompactFile,
-    /// Before pruning.
+    /// Number of identities before pruning; if they are unknown, the largest number of Gaussians at any timestep.
     pub num_gaussians_before: usize,
     /// From the raw floats, in order; the last is the file.
     pub stages: Vec<SizeStep>,

@@ -32,7 +32,7 @@ pub struct Comparison {
     /// Number of compared timesteps: all.
     pub num_timesteps: usize,
     /// Number of Gaussians of the file, summed over all timesteps.
-    pub num_gaussians: u64,
+    pub num_compared: u64,
     /// Number of these without a Gaussian of the source within the declared errors.
     pub num_beyond: u64,
     /// Fewest and most Gaussians of the source at a timestep without a partner in the file: they were pruned.
@@ -109,7 +109,7 @@ pub fn compare(file: &OpenScene, source: &OpenScene, observer: &mut dyn Observer
     let mut comparison = Comparison {
         attributes: Vec::new(),
         num_timesteps,
-        num_gaussians: 0,
+        num_compared: 0,
         num_beyond: 0,
         num_pruned: [usize::MAX, 0],
     };
@@ -124,7 +124,7 @@ pub fn compare(file: &OpenScene, source: &OpenScene, observer: &mut dyn Observer
             before = pairs;
         }
         let pruned = original.num_gaussians().saturating_sub(num_decoded);
-        comparison.num_gaussians += num_decoded as u64;
+        comparison.num_compared += num_decoded as u64;
         comparison.num_pruned = [comparison.num_pruned[0].min(pruned), comparison.num_pruned[1].max(pruned)];
         tell(observer, Event::Frame(file.first_frame + timestep))?;
     }
