@@ -8,7 +8,7 @@ import initialise, { Decoder } from "./decoder/tcgs_js.js";
  * @typedef {object} SceneInfo
  * @property {string} name of the capture; may be empty
  * @property {number} numTimesteps timesteps, counted from 0
- * @property {number} maxGaussians most Gaussians that live at one timestep
+ * @property {number} maxGaussians no timestep has more Gaussians
  * @property {number} frameRate timesteps per second; 0 if the file does not say
  * @property {number} shDegree degree of the spherical harmonics, 0 to 3
  * @property {boolean} antialiased whether a splat that is widened by a pixel's extent loses as much opacity

@@ -45,7 +45,7 @@ typedef int32_t (*TcgsReadFunction)(void *user, uint64_t offset, uint8_t *buffer
 typedef struct TcgsSceneInfo {
   // Timesteps, counted from 0.
   uint32_t num_timesteps;
-  // The largest number of Gaussians that live at one timestep: arrays of this length hold every timestep.
+  // No timestep has more Gaussians: arrays of this length hold every timestep.
   uint32_t max_gaussians;
   // Timesteps per second; 0 if the file does not say.
   float frame_rate;

@@ -29,7 +29,7 @@ pub struct Scene {
 pub struct SceneInfo {
     /// Timesteps, counted from 0.
     pub num_timesteps: u32,
-    /// The largest number of Gaussians that live at one timestep: arrays of this length hold every timestep.
+    /// No timestep has more Gaussians: arrays of this length hold every timestep.
     pub max_gaussians: u32,
     /// Timesteps per second; 0 if the file does not say.
     pub frame_rate: f32,

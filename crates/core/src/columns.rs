@@ -1,5 +1,6 @@
 //! One flat array a column, with what its numbers mean in the type.
 
+use std::borrow::Borrow;
 use std::fmt;
 use std::marker::PhantomData;
 use std::sync::Arc;
@@ -192,6 +193,32 @@ impl<Role> Columns<Role> {
         let column = |a: usize| parts.iter().flat_map(|part| &part.values[a]).copied().collect();
         let values = (0..layout.columns().len()).map(column).collect();
         Self::new(Arc::clone(layout), parts.iter().map(|part| part.num_gaussians).sum(), values)
+    }
+
+    /// Rows of several timesteps as one.
+    ///
+    /// - `timesteps`: of the same columns, at least one
+    /// - `places`: timestep and row of each
+    ///
+    /// # Panics
+    /// If an index is out of range.
+    ///
+    /// ```
+    /// use tcgs_core::Gaussians;
+    /// let mut later = Gaussians::zeros(2);
+    /// later.means_mut()[1] = [1.0; 3];
+    /// let gathered = Gaussians::gather(&[Gaussians::zeros(1), later], &[(1, 1), (0, 0)]);
+    /// assert_eq!(gathered.means(), [[1.0; 3], [0.0; 3]]);
+    /// ```
+    pub fn gather<C: Borrow<Self>>(timesteps: &[C], places: &[(usize, usize)]) -> Self {
+        let layout = &timesteps[0].borrow().layout;
+        let column = |attribute: Attribute| {
+            let components = attribute.components();
+            let row =
+                |&(t, row): &(usize, usize)| &timesteps[t].borrow().values(attribute)[row * components..][..components];
+            places.iter().flat_map(row).copied().collect()
+        };
+        Self::new(Arc::clone(layout), places.len(), layout.attributes().map(column).collect())
     }
 
     /// The Gaussians at `rows`, in that order; zeros for a row without an index.

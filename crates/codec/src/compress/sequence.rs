@@ -8,9 +8,7 @@ use std::collections::HashMap;
 use std::collections::hash_map::DefaultHasher;
 use std::hash::Hasher;
 
-use tcgs_core::{
-    Attribute, DynamicGaussians, Gaussians, Life, Lives, SceneReader, distance, dot, normalize, upper_median,
-};
+use tcgs_core::{DynamicGaussians, Gaussians, Life, Lives, SceneReader, distance, dot, normalize, upper_median};
 
 use super::settings::middle;
 use super::statistics::read_one;
@@ -124,7 +122,7 @@ impl<'a, R: SceneReader> FollowedParts<'a, R> {
                 (at, rows[at - birth] as usize)
             };
             let places: Vec<(usize, usize)> = tracks.iter().map(held).collect();
-            scene.push(gather(&timesteps, &places));
+            scene.push(Gaussians::gather(&timesteps, &places));
         }
         let life = |(birth, rows): &(usize, Vec<u32>)| {
             let [birth, death] = [*birth, birth + rows.len()].map(|t| t as u32);
@@ -140,19 +138,6 @@ impl<R: SceneReader> Iterator for FollowedParts<'_, R> {
     fn next(&mut self) -> Option<Self::Item> {
         self.part().transpose()
     }
-}
-
-/// Collects rows of several timesteps.
-///
-/// - `places`: timestep and row of each
-fn gather(timesteps: &[Gaussians], places: &[(usize, usize)]) -> Gaussians {
-    let layout = timesteps[0].layout();
-    let column = |attribute: Attribute| {
-        let components = attribute.components();
-        let row = |&(t, row): &(usize, usize)| &timesteps[t].values(attribute)[row * components..][..components];
-        places.iter().flat_map(row).copied().collect()
-    };
-    Gaussians::new(layout.clone(), places.len(), layout.attributes().map(column).collect())
 }
 
 /// For each Gaussian of `now` the matching Gaussian of `before`, if any; matches are unique.

@@ -74,24 +74,16 @@ impl Picture {
             is_shown.iter_mut().zip(shown).for_each(|(is_shown, shown)| *is_shown |= shown);
         }
         let keep: Vec<usize> = (0..n).filter(|&i| is_shown[i]).collect();
-        // A Gaussian that is not born yet stands as it will be born.
-        let mut all: Vec<Gaussians> = Vec::with_capacity(timesteps.len());
-        for parameters in timesteps.iter().rev() {
-            let here = parameters.num_gaussians();
-            let whole = match all.last() {
-                Some(later) if here < n => {
-                    let unborn = later.select(&(here..n).collect::<Vec<_>>());
-                    Gaussians::concat(later.layout(), &[parameters.gaussians.clone(), unborn])
-                }
-                _ => parameters.gaussians.clone(),
-            };
-            all.push(whole);
-        }
-        let mut scene = DynamicGaussians::new(all[0].layout().clone());
-        all.into_iter().rev().for_each(|gaussians| scene.push(gaussians.select(&keep)));
         let birth = |i: usize| timesteps.partition_point(|parameters| parameters.num_gaussians() <= i) as u32;
         let death = timesteps.len() as u32;
         let lives: Lives = keep.iter().map(|&i| Life { birth: birth(i), death }).collect();
+        let all: Vec<&Gaussians> = timesteps.iter().map(|parameters| &parameters.gaussians).collect();
+        let mut scene = DynamicGaussians::new(all[0].layout().clone());
+        for timestep in 0..timesteps.len() {
+            // A Gaussian that is not born yet stands as it will be born.
+            let place = |(&i, life): (&usize, &Life)| (timestep.max(life.birth as usize), i);
+            scene.push(Gaussians::gather(&all, &keep.iter().zip(lives.iter()).map(place).collect::<Vec<_>>()));
+        }
 
         let info = SceneInfo {
             name: self.name.clone(),
