@@ -1,16 +1,15 @@
 //! Training of dynamic Gaussians from multi-view images, one timestep after another.
 //!
-//! [`Trainer`] runs the optimisation; [`Run`] stores its settings, checkpoints and metrics in a folder; [`engine`]
-//! holds the two implementations of one iteration, CPU and GPU.
+//! [`Trainer`] runs the optimisation; `population` adds and removes Gaussians; [`Run`] stores settings, checkpoints and
+//! metrics in a folder; [`engine`] holds the two implementations of one iteration, CPU and GPU.
 //!
-//! What lives here: the optimiser's state, losses, schedule, density control, masks, quantisation
+//! What lives here: the optimiser's state, losses, schedule, population, masks, quantisation
 //! inside the optimisation, run folders. What does not: captures (they come as
 //! [`tcgs_core::View`]s), rendering, the file format.
 
 mod adam;
 mod checkpoint;
 mod config;
-mod densify;
 pub mod engine;
 mod error;
 mod fake_quant;
@@ -21,16 +20,16 @@ mod mask;
 mod motion;
 mod neighbors;
 mod parameters;
+mod population;
 mod refine;
-mod removal;
 mod row;
 mod run;
 mod schedule;
 mod sensitivity;
+mod solver;
 mod stand_ins;
 mod state;
 mod trainer;
-mod unseen;
 
 pub use adam::{Moments, adam};
 pub use checkpoint::Checkpoint;
@@ -38,7 +37,6 @@ pub use config::{
     BirthConfig, BitMapKind, ColorConfig, ConfigError, DataConfig, DeathConfig, DensifyConfig, GateConfig, MaskConfig,
     Preset, QuantizeConfig, REFERENCE_ITERATIONS, RateConfig, RenderConfig, ScheduleConfig, TrainConfig,
 };
-pub use densify::{Densified, DensifyStep, densify, remove_others, reset_opacities};
 pub use error::TrainError;
 pub use fake_quant::{FakeQuantizers, bit_settings, fake_quant, fake_quant_vjp, step_gradient_scale};
 pub use gate::{GateRecord, Trained};
@@ -48,13 +46,16 @@ pub use mask::{mask, mask_consistency_loss, mask_loss, mask_vjp, masked_out, mea
 pub use motion::{Past, Pose, predict};
 pub use neighbors::{NEIGHBOR_FALLOFF, NUM_NEIGHBORS, Neighbors};
 pub use parameters::{Parameters, scene_radius};
+pub use population::{
+    Densified, DensifyStep, Removal, TimestepViews, are_in_images, densify, judge_stride, needed, remove_others,
+    reset_opacities,
+};
 pub use refine::{RefineConfig, Refiner, refine_order};
-pub use removal::{Removal, TimestepViews, judge_stride, needed};
 pub use row::Row;
 pub use run::{Run, TrainedScene};
 pub use schedule::{Phase, Rates, Schedule};
 pub use sensitivity::sensitivity;
+pub use solver::{Glimpse, Glimpsed, Progress};
 pub use stand_ins::StandIns;
 pub use state::{GradientStatistic, Optimizer, State};
-pub use trainer::{Glimpse, Glimpsed, Progress, Trainer};
-pub use unseen::are_in_images;
+pub use trainer::Trainer;

@@ -1,4 +1,5 @@
-//! The schedule: learning rates and the iterations of events, as functions of timestep and iteration.
+//! The schedule: numbers of iterations, learning rates and the start of quantisation, as functions of timestep and
+//! iteration. What does not live here: when Gaussians are added and removed (`population`).
 
 use tcgs_core::{Column, RateGroup};
 
@@ -7,19 +8,6 @@ use crate::config::{REFERENCE_ITERATIONS, TrainConfig};
 /// Learning rate of the young for columns that are constant over time, relative to that of the newborn. These columns
 /// also change how the timesteps since their birth look.
 const YOUTH_RATE: f32 = 0.5;
-
-/// Iteration of the last densification, in a schedule of the reference's length. Reference.
-pub(crate) const DENSIFY_END: usize = 5000;
-
-/// Iterations between removals of masked Gaussians at the first timestep, in a schedule of the reference's length.
-/// Compact-3DGS.
-pub(crate) const MASK_PRUNE_INTERVAL: usize = 1000;
-
-/// Number of times that Gaussians are removed that the training images hardly need.
-const NUM_PRUNINGS: usize = 3;
-
-/// Fewest iterations of a first timestep that makes up for the error of such a removal.
-const RECOVERY: f32 = 1000.0;
 
 /// Learning rates of one iteration.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -176,72 +164,6 @@ impl Schedule {
         }
     }
 
-    /// Whether gradients are counted for densification. At the first timestep they count until its last densification.
-    /// Newborn Gaussians are densified afterwards, so theirs count in the last half of their iterations.
-    pub fn counts_gradients(&self, phase: Phase, iteration: usize) -> bool {
-        match phase {
-            Phase::First => iteration <= self.scaled(DENSIFY_END),
-            Phase::Birth => self.config.births.gradient_threshold > 0.0 && 2 * iteration >= self.iterations(phase),
-            Phase::Rest | Phase::Youth => false,
-        }
-    }
-
-    /// Whether Gaussians are cloned, split and removed at this iteration.
-    pub fn densifies(&self, iteration: usize) -> bool {
-        let d = &self.config.densify;
-        iteration >= self.scaled(d.start)
-            && self.counts_gradients(Phase::First, iteration)
-            && iteration > 0
-            && iteration.is_multiple_of(d.interval)
-    }
-
-    /// Whether this is the last densification, which removes far more.
-    pub fn is_last_densification(&self, iteration: usize) -> bool {
-        self.densifies(iteration) && iteration + self.config.densify.interval > self.scaled(DENSIFY_END)
-    }
-
-    /// Whether large Gaussians are removed by now.
-    pub fn removes_large(&self, iteration: usize) -> bool {
-        self.config.densify.prune_large > 0 && iteration >= self.scaled(self.config.densify.prune_large)
-    }
-
-    /// Whether opacities are reset at this iteration. A schedule without a whole interval between reset and last event
-    /// has no reset: Gaussians that have not recovered by then would be removed.
-    pub fn resets_opacities(&self, iteration: usize) -> bool {
-        let d = &self.config.densify;
-        let recovers = self.scaled(DENSIFY_END) >= self.scaled(d.reset) + d.interval;
-        d.reset > 0 && iteration > 0 && iteration == self.scaled(d.reset) && recovers
-    }
-
-    /// Whether masked Gaussians are removed at this iteration.
-    pub fn prunes_masked(&self, iteration: usize) -> bool {
-        let interval = self.scaled(MASK_PRUNE_INTERVAL).max(1);
-        let ended = iteration > self.scaled(self.config.mask.prune_end);
-        self.config.mask.enabled && iteration > 0 && iteration.is_multiple_of(interval) && !ended
-    }
-
-    /// Share by which each of these removals may increase the squared error. A schedule too short to make up for the
-    /// error has a smaller share.
-    pub fn prune_error(&self) -> f32 {
-        let iterations = self.iterations(Phase::First) as f32;
-        self.config.densify.prune_error * (iterations / RECOVERY).min(1.0)
-    }
-
-    /// Whether Gaussians that the training images hardly need are removed at this iteration.
-    pub fn prunes_unneeded(&self, iteration: usize) -> bool {
-        let span = self.config.quantize.start.saturating_sub(DENSIFY_END);
-        let is_due = |event| iteration == self.scaled(DENSIFY_END + event * span / (NUM_PRUNINGS + 1));
-        self.config.densify.prune_error > 0.0 && iteration > 0 && (1..=NUM_PRUNINGS).any(is_due)
-    }
-
-    /// Whether Gaussians are replaced, removed or reset after this iteration, which invalidates its gradients.
-    pub fn reshapes(&self, iteration: usize) -> bool {
-        self.densifies(iteration)
-            || self.resets_opacities(iteration)
-            || self.prunes_masked(iteration)
-            || self.prunes_unneeded(iteration)
-    }
-
     /// Whether quantisation starts at this iteration.
     pub fn starts_quantization(&self, iteration: usize) -> bool {
         self.config.quantize.enabled
@@ -271,10 +193,6 @@ mod tests {
     #[test]
     fn the_reference_schedule_is_the_reference() {
         let s = schedule(10_000, 2_000, Preset::D3dgs);
-        let events: Vec<usize> = (0..10_000).filter(|&i| s.densifies(i)).collect();
-        assert_eq!((events[0], events[1], events[events.len() - 1]), (500, 600, 5000));
-        assert_eq!((0..10_000).filter(|&i| s.is_last_densification(i)).collect::<Vec<_>>(), [5000]);
-        assert_eq!((0..10_000).filter(|&i| s.resets_opacities(i)).collect::<Vec<_>>(), [3000]);
         let rates = s.rates(Phase::First, 9000);
         assert_eq!((rates.mean, rates.color, rates.quat), (3.2e-4, 2.5e-3, 1e-3));
         assert_eq!(s.rates(Phase::Rest, 1999).mean, 3.2e-4);
@@ -282,20 +200,9 @@ mod tests {
     }
 
     #[test]
-    fn a_short_schedule_keeps_the_interval_and_scales_the_rest() {
+    fn a_short_schedule_scales() {
         let s = schedule(1500, 300, Preset::Default);
-        let events: Vec<usize> = (0..1500).filter(|&i| s.densifies(i)).collect();
-        assert_eq!(events, [100, 200, 300, 400, 500, 600, 700]);
-        assert!(s.is_last_densification(700) && !s.is_last_densification(600));
         assert!(s.starts_quantization(900));
-        assert_eq!((0..1500).filter(|&i| s.prunes_unneeded(i)).collect::<Vec<_>>(), [788, 825, 863]);
-        assert_eq!((s.prune_error(), schedule(60, 20, Preset::Fast).prune_error()), (1.0, 0.06));
-        assert!((0..1500).all(|i| !s.resets_opacities(i) && !s.removes_large(i) && !s.prunes_masked(i)));
-        let (long, short) = (schedule(1500, 300, Preset::Paper), schedule(250, 50, Preset::Paper));
-        assert!(long.resets_opacities(450) && long.removes_large(450) && long.reshapes(450));
-        assert!(long.prunes_masked(150) && (0..1500).all(|i| !long.prunes_unneeded(i)));
-        assert!((0..250).all(|i| !short.resets_opacities(i)));
-        assert!(s.reshapes(100) && s.reshapes(825) && !s.reshapes(900) && !s.reshapes(1050));
         assert!((s.rates(Phase::First, 0).mask - 0.01 * 10.0 / 1.5).abs() < 1e-6);
         assert!((s.rates(Phase::Rest, 0).mean - 3.2e-4 * 20.0 / 3.0).abs() < 1e-8);
         assert!(s.rates(Phase::Rest, 299).mean < 0.05 * s.rates(Phase::Rest, 0).mean);

@@ -61,7 +61,7 @@ pub fn start_state(
     // All Gaussians that live at the start exist from the chapter's first timestep to its last.
     start.lifetimes = Lifetimes::new(start.parameters.num_gaussians());
     start.born = Pose::default();
-    start.gate.unseen.clear();
+    start.unseen.clear();
     Ok(start)
 }
 

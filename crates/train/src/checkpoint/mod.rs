@@ -41,6 +41,9 @@ pub struct Checkpoint {
     pub scene_radius: f32,
     /// The gate's record; empty in a run without a gate.
     pub gate: GateRecord,
+    /// `[N]` timestep since which no camera has seen the Gaussian; [`Lives::NEVER`] if one saw it last. Empty if deaths
+    /// are off.
+    pub unseen: Vec<u32>,
     /// Poses at birth of the Gaussians born after the first timestep, which are the last ones.
     pub born: Pose,
 }
@@ -81,6 +84,7 @@ impl Checkpoint {
             scene_radius: extent(cameras, parameters.gaussians.means()),
             parameters,
             gate: GateRecord::default(),
+            unseen: Vec::new(),
             born: Pose::default(),
         }
     }
@@ -166,8 +170,8 @@ impl Checkpoint {
             arrays.add(GATE_TILES, For::Resuming, &[tiles.len()], &tiles);
             arrays.add("gate_errors", For::Resuming, &[errors.len()], &errors);
             arrays.add("gate_noise", For::Resuming, &[tiles.len(), noise.len() / tiles.len()], &noise);
-            if !g.unseen.is_empty() {
-                arrays.add(GATE_UNSEEN, For::Resuming, &[g.unseen.len()], &wide(&g.unseen));
+            if !self.unseen.is_empty() {
+                arrays.add(GATE_UNSEEN, For::Resuming, &[self.unseen.len()], &wide(&self.unseen));
             }
         }
         if first {
@@ -325,11 +329,15 @@ fn layout_of(table: &str) -> Option<Layout> {
 }
 
 /// - `n`: number of Gaussians
-fn read_gate(arrays: &Arrays, n: usize) -> Result<GateRecord, String> {
+fn read_unseen(arrays: &Arrays, n: usize) -> Result<Vec<u32>, String> {
     let unseen = if arrays.contains_key(GATE_UNSEEN) { narrow(arrays, GATE_UNSEEN)? } else { Vec::new() };
-    if !unseen.is_empty() && unseen.len() != n {
-        return Err(format!("{GATE_UNSEEN} holds {} values, expected {n}", unseen.len()));
+    match unseen.len() {
+        found if found == 0 || found == n => Ok(unseen),
+        found => Err(format!("{GATE_UNSEEN} holds {found} values, expected {n}")),
     }
+}
+
+fn read_gate(arrays: &Arrays) -> Result<GateRecord, String> {
     let tiles = get::<u64>(arrays, GATE_TILES)?;
     let (errors, noise) = (get::<f32>(arrays, "gate_errors")?, get::<f32>(arrays, "gate_noise")?);
     let sum = tiles.iter().try_fold(0_u64, |sum, &count| sum.checked_add(count));
@@ -346,7 +354,6 @@ fn read_gate(arrays: &Arrays, n: usize) -> Result<GateRecord, String> {
     Ok(GateRecord {
         errors: tiles.iter().map(|&count| take(count)).collect(),
         noise: (0..tiles.len()).map(|i| noise[i * per_camera..][..per_camera].to_vec()).collect(),
-        unseen,
     })
 }
 
@@ -446,8 +453,9 @@ fn read(arrays: &Arrays, first: Option<&Checkpoint>, learned_offset: bool) -> Re
         true => read_optimizer(arrays, &parameters, num_quantizers)?,
         false => Optimizer::new(&parameters, num_quantizers),
     };
-    let gate = if arrays.contains_key(GATE_TILES) { read_gate(arrays, n)? } else { GateRecord::default() };
-    Ok(Checkpoint { parameters, lifetimes, quantizers, optimizer, scene_radius, gate, born })
+    let gate = if arrays.contains_key(GATE_TILES) { read_gate(arrays)? } else { GateRecord::default() };
+    let unseen = read_unseen(arrays, n)?;
+    Ok(Checkpoint { parameters, lifetimes, quantizers, optimizer, scene_radius, gate, unseen, born })
 }
 
 /// Whether arrays give lifetimes; without them all Gaussians live from the first timestep on.

@@ -52,7 +52,7 @@ pub(super) fn is_retired(key: &str, found: &Value) -> Result<bool, ConfigError> 
 mod tests {
     use super::*;
     use crate::config::{DensifyConfig, TrainConfig};
-    use crate::{densify, gate, schedule, trainer};
+    use crate::{gate, population};
 
     #[test]
     fn an_old_configuration_is_read_if_it_has_the_values_of_the_constants() {
@@ -79,21 +79,21 @@ mod tests {
     #[test]
     fn values_are_those_of_the_constants() {
         let constants = [
-            ("densify.end", schedule::DENSIFY_END as f32),
-            ("densify.clone_scale", densify::CLONE_SCALE),
-            ("densify.split_children", densify::SPLIT_CHILDREN as f32),
-            ("densify.split_shrink", densify::SPLIT_SHRINK),
+            ("densify.end", population::DENSIFY_END as f32),
+            ("densify.clone_scale", population::CLONE_SCALE),
+            ("densify.split_children", population::SPLIT_CHILDREN as f32),
+            ("densify.split_shrink", population::SPLIT_SHRINK),
             ("densify.prune_opacity", DensifyConfig::PRUNE_OPACITY),
-            ("densify.prune_scale", densify::PRUNE_SCALE),
-            ("densify.reset_opacity", densify::RESET_OPACITY),
-            ("mask.prune_interval", schedule::MASK_PRUNE_INTERVAL as f32),
+            ("densify.prune_scale", population::PRUNE_SCALE),
+            ("densify.reset_opacity", population::RESET_OPACITY),
+            ("mask.prune_interval", population::MASK_PRUNE_INTERVAL as f32),
             ("quantize.position_bits", tcgs_codec::BitSettings::default().position_bits.into()),
             ("gate.noise", gate::NOISE_DEVIATIONS),
             ("gate.contrast", gate::CONTRAST),
             ("gate.growth", gate::GROWTH),
             ("gate.pace", gate::SETTLED_PACE as f32),
             ("births.contrast", gate::UNEXPLAINED_CONTRAST),
-            ("births.opacity", trainer::MIN_OPACITY),
+            ("births.opacity", population::MIN_OPACITY),
         ];
         for (key, constant) in constants {
             assert!(is_retired(key, &Float(constant.into())).unwrap(), "{key}");

@@ -44,6 +44,16 @@ impl Target {
         }
         Self { camera: view.camera.clone(), image }
     }
+
+    /// The targets of a timestep's views, with segmentation if all views have one.
+    pub(crate) fn of_all(views: &[View]) -> Vec<Self> {
+        let with_segmentation = all_segmented(views);
+        views.iter().map(|view| Self::new(view, with_segmentation)).collect()
+    }
+}
+
+pub(crate) fn all_segmented(views: &[View]) -> bool {
+    views.iter().all(|view| view.segmentation.is_some())
 }
 
 /// The inputs of one iteration.

@@ -247,7 +247,7 @@ impl Activity {
 /// - `drawn`: the scene, with these rows
 /// - `rows`: indices into the scene; the first `num_active` are trained
 /// - `tiles`, `pictures`, `cameras`: `[cameras]`; the pictures are of the scene
-pub(super) fn scenery_of(
+pub(crate) fn scenery_of(
     drawn: &Drawn,
     rows: &[usize],
     num_active: usize,

@@ -160,7 +160,7 @@ pub(super) fn tile_errors(picture: &Image, target: &Image, gain: [f32; 3], offse
 }
 
 /// The tiles that hold marked blocks.
-pub(super) fn tiles_of(blocks: &Blocks, width: usize, height: usize) -> TileMask {
+pub(crate) fn tiles_of(blocks: &Blocks, width: usize, height: usize) -> TileMask {
     let mut tiles = TileMask::none(width, height);
     for index in (0..blocks.is_marked.len()).filter(|&index| blocks.is_marked[index]) {
         let [x, y] = blocks.pixel(index);

@@ -12,35 +12,31 @@
 //! 4. The timestep then trains a small state, the active Gaussians, in the tiles with evidence, against the `Scenery`
 //!    of everything else ([`crate::engine::Scenery`]).
 //! 5. The losses decide the number of iterations (`pace`).
-//! 6. Gaussians that no camera has seen for long die ([`Gate::dying`]).
 //!
 //! The reference, and the presets `d3dgs` and `paper`, train everything everywhere.
 
 mod activity;
 mod evidence;
 mod matches;
-mod nursery;
 mod pace;
 
 use rayon::prelude::*;
-use tcgs_core::{Activated, Camera, Image, Life, View, distance, upper_median};
+use tcgs_core::{Activated, Camera, Image, View, upper_median};
 use tcgs_render::{CpuRasterizer, Laps, RenderSettings, TileMask, tiles_reached};
 
 pub use self::activity::Trained;
-pub(crate) use self::activity::{Activity, Shares};
+pub(crate) use self::activity::{Activity, Shares, scenery_of};
 #[cfg(test)]
 pub(crate) use self::evidence::NOISE_DEVIATIONS;
-pub(crate) use self::evidence::{Blocks, CONTRAST};
-use self::evidence::{changed_blocks, differences, noise_level, tile_errors, tiles_of};
+pub(crate) use self::evidence::{Blocks, CONTRAST, tiles_of};
+use self::evidence::{changed_blocks, differences, noise_level, tile_errors};
 use self::matches::{Matches, Mover};
-pub(crate) use self::nursery::Nursery;
 pub(crate) use self::pace::Pace;
 #[cfg(test)]
 pub(crate) use self::pace::SETTLED_PACE;
-use crate::config::{DeathConfig, GateConfig, MaskConfig};
+use crate::config::{GateConfig, MaskConfig};
 use crate::engine::Target;
 use crate::engine::cpu::Drawn;
-use crate::mask::mask;
 use crate::state::State;
 
 /// The number of noise estimates of a camera whose median counts.
@@ -73,9 +69,6 @@ pub struct GateRecord {
     pub noise: Vec<Vec<f32>>,
     /// `[cameras][tiles]` mean absolute error of the scene's picture in each tile, when it was last trained.
     pub errors: Vec<Vec<f32>>,
-    /// `[N]` timestep since which no camera has seen the Gaussian, as of the last `Gate::look`; [`Life::NEVER`] if
-    /// one saw it then. Empty if deaths are off.
-    pub unseen: Vec<u32>,
 }
 
 /// The gate's memory of each view from one timestep to the next.
@@ -92,7 +85,6 @@ struct Memory {
 pub(crate) struct Gate {
     config: GateConfig,
     mask: MaskConfig,
-    deaths: DeathConfig,
     record: GateRecord,
     memory: Option<Memory>,
 }
@@ -105,12 +97,8 @@ struct Evidence {
 
 impl Gate {
     /// - `record`: from the checkpoint that the run resumes from; empty at the start of a run
-    pub fn new(config: &GateConfig, mask: &MaskConfig, deaths: &DeathConfig, record: GateRecord) -> Self {
-        let (config, mask, deaths) = (config.clone(), mask.clone(), deaths.clone());
-        // A resumed run may have deaths switched off.
-        let unseen = if deaths.patience > 0 { record.unseen } else { Vec::new() };
-        let record = GateRecord { unseen, ..record };
-        Self { config, mask, deaths, record, memory: None }
+    pub fn new(config: &GateConfig, mask: &MaskConfig, record: GateRecord) -> Self {
+        Self { config: config.clone(), mask: mask.clone(), record, memory: None }
     }
 
     /// Whether the gate has a record but lacks the images that belong to it.
@@ -189,14 +177,12 @@ impl Gate {
         if config.matches {
             activity.corrections = corrections(state, &activity, &memory.images, targets);
         }
-        if self.deaths.patience > 0 {
-            self.record.unseen.resize(state.parameters.num_gaussians(), Life::NEVER);
-            let timestep = state.timestep as u32;
-            for (unseen, share) in self.record.unseen.iter_mut().zip(&activity.pixels) {
-                *unseen = if *share >= self.deaths.share { Life::NEVER } else { (*unseen).min(timestep) };
-            }
-        }
         Some(activity)
+    }
+
+    /// `[cameras]`, the scene as it is now, before the cameras' gain and offset; none before [`Self::begin`].
+    pub fn pictures(&self) -> &[Image] {
+        self.memory.as_ref().map_or(&[], |memory| &memory.pictures)
     }
 
     /// The state as drawn, with as many channels as the pictures.
@@ -220,9 +206,6 @@ impl Gate {
         let channels = self.memory.as_ref().map_or(3, |memory| memory.pictures[0].num_channels);
         let nothing = Activated { num_channels: channels, ..Activated::default() };
         self.redraw_rows(state, views, &(n - count..n).collect::<Vec<_>>(), &nothing);
-        if self.deaths.patience > 0 {
-            self.record.unseen.resize(n, Life::NEVER);
-        }
     }
 
     /// Redraws the tiles that some Gaussians reach.
@@ -266,44 +249,6 @@ impl Gate {
             blocks.with_around(2).and(&blocks)
         };
         views.par_iter().enumerate().map(of_view).collect()
-    }
-
-    /// Gaussians that die: no camera has seen them for long, and their masks hide them or they are away from their
-    /// place of birth. A Gaussian at rest at its place of birth lives on, because it may be uncovered or the cameras
-    /// may move.
-    ///
-    /// Visibility is measured at the positions at the start of the timestep. A Gaussian that comes into view during
-    /// this very timestep therefore dies, and births replace it.
-    ///
-    /// - `state`: after the timestep
-    /// - returns: indices, ascending
-    pub fn dying(&self, state: &State) -> Vec<usize> {
-        let (patience, timestep) = (self.deaths.patience, state.timestep);
-        let Some(past) = state.past.as_ref().filter(|_| patience > 0 && timestep.is_multiple_of(patience)) else {
-            return Vec::new();
-        };
-        let p = &state.parameters;
-        let (means, log_scales) = (p.gaussians.means(), p.gaussians.log_scales());
-        let is_away = |i: usize| {
-            distance(means[i], past.first.means[i]) > log_scales[i].into_iter().fold(f32::MIN, f32::max).exp()
-        };
-        let is_masked = |i: usize| self.mask.enabled && mask(p.mask_logits[i], self.mask.threshold) == 0.0;
-        let is_due = |&i: &usize| timestep.checked_sub(self.record.unseen[i] as usize).is_some_and(|t| t >= patience);
-        let dies = |i: &usize| is_due(i) && (is_masked(*i) || is_away(*i));
-        let dying: Vec<usize> = (0..self.record.unseen.len()).filter(dies).collect();
-        // A scene has at least one Gaussian.
-        if dying.len() < means.len() { dying } else { Vec::new() }
-    }
-
-    /// Removes dead Gaussians from the record and the pictures.
-    ///
-    /// - `state`: without them
-    /// - `dead`: their indices before the removal
-    /// - `before`: the dead Gaussians as drawn
-    pub fn forget(&mut self, state: &State, views: &[View], dead: &[usize], before: &Activated) {
-        let mut row = 0..;
-        self.record.unseen.retain(|_| row.next().is_some_and(|row| dead.binary_search(&row).is_err()));
-        self.redraw_rows(state, views, &[], before);
     }
 
     /// Updates images and reference errors after a timestep that trained an activity.
@@ -363,58 +308,5 @@ fn redraw(drawn: &Drawn, view: &View, tiles: &TileMask, picture: &mut Image) {
         let drawn = drawn.seen_by(&view.camera);
         let (settings, laps) = (RenderSettings::default(), &mut Laps::begin());
         CpuRasterizer.forward_in(&drawn, &view.camera, &settings, tiles, picture, laps);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use tcgs_core::{BaseColumns, Gaussians};
-
-    use super::*;
-    use crate::config::{Preset, TrainConfig};
-    use crate::motion::{Past, Pose};
-    use crate::parameters::Parameters;
-
-    #[test]
-    fn who_dies_is_unseen_for_long_and_masked_or_elsewhere_than_where_it_was_born() {
-        let n = 5;
-        let gaussians = Gaussians::from(BaseColumns {
-            means: (0..n).map(|i| [i as f32, 0.0, 0.0]).collect(),
-            quats: vec![[1.0, 0.0, 0.0, 0.0]; n],
-            log_scales: vec![[-3.0, -4.0, -5.0]; n],
-            logit_opacities: vec![2.0; n],
-            colors: vec![[0.5; 3]; n],
-        });
-        let mut born = gaussians.clone();
-        // The first two have moved, the third by less than its size, and the last one is masked.
-        born.means_mut()[0][1] = 1.0;
-        born.means_mut()[1][1] = 0.06;
-        born.means_mut()[2][1] = 0.04;
-        let mut state = State::new(Parameters {
-            gaussians: gaussians.clone(),
-            mask_logits: vec![1.0, 1.0, 1.0, 1.0, -9.0],
-            foreground: vec![true; n],
-            camera_gains: vec![[0.0; 3]; 2],
-            camera_offsets: vec![[0.0; 3]; 2],
-        });
-        state.past = Some(Past::new(Pose::of(&born), gaussians, &vec![true; n]));
-        let mut config = TrainConfig::preset(Preset::Fast);
-        config.mask.enabled = true;
-        let dying = |config: &TrainConfig, timestep: usize, unseen: [u32; 5]| {
-            let record = GateRecord { unseen: unseen.to_vec(), ..GateRecord::default() };
-            let mut state = state.clone();
-            state.timestep = timestep;
-            Gate::new(&config.gate, &config.mask, &config.deaths, record).dying(&state)
-        };
-        config.deaths.patience = 4;
-        assert_eq!(dying(&config, 8, [4, 4, 4, 4, 4]), [0, 1, 4]);
-        // The first was seen at the last timestep, the second is unseen for three; no Gaussian dies between two
-        // burials.
-        assert_eq!(dying(&config, 8, [Life::NEVER, 5, 1, 1, 1]), [4]);
-        assert!(dying(&config, 9, [1; 5]).is_empty());
-        config.mask.enabled = false;
-        assert_eq!(dying(&config, 8, [4, 5, 4, 4, 4]), [0]);
-        config.deaths.patience = 0;
-        assert!(dying(&config, 8, [1; 5]).is_empty());
     }
 }

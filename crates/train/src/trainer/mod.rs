@@ -1,9 +1,7 @@
-//! A training run in progress: its start, its resumption, and its storage. What does not live here: the iterations of a
-//! timestep and the events between them (`timestep`), the time of an event (`schedule`), and the computation of an
-//! iteration (`engine`).
+//! A training run in progress: its start, its resumption, and its storage. What does not live here: a timestep
+//! (`timestep`), its iterations (`solver`), the number of Gaussians (`population`), and the computation of an iteration
+//! (`engine`).
 
-mod births;
-mod glimpse;
 mod timestep;
 
 use std::sync::Arc;
@@ -11,23 +9,21 @@ use std::sync::Arc;
 use tcgs_core::{Camera, Layout, PointCloud, View};
 use tcgs_metrics::psnr;
 
-#[cfg(test)]
-pub(crate) use self::births::MIN_OPACITY;
-pub use self::glimpse::{Glimpse, Glimpsed};
-pub use self::timestep::Progress;
 use crate::TrainError;
 use crate::checkpoint::Checkpoint;
-use crate::config::{DeathConfig, TrainConfig};
-use crate::engine::Engine;
+use crate::config::TrainConfig;
 use crate::engine::cpu::CpuEngine;
+use crate::engine::{Engine, all_segmented};
 use crate::gate::{Gate, GateRecord, Trained};
 use crate::motion::{Past, Pose};
 use crate::parameters::{Parameters, extent};
-use crate::schedule::{Phase, Schedule};
+use crate::population::{self, Population};
+use crate::schedule::Phase;
+use crate::solver::{Glimpse, Solver};
 use crate::state::State;
-use crate::unseen::gather_unseen;
 
-/// A training run in progress: settings, schedule, and an engine with the state after the last finished timestep.
+/// A training run in progress: settings, schedule, population, and an engine with the state after the last finished
+/// timestep.
 ///
 /// ```
 /// use std::ops::ControlFlow;
@@ -58,24 +54,18 @@ use crate::unseen::gather_unseen;
 /// ```
 #[derive(Debug)]
 pub struct Trainer {
-    config: TrainConfig,
-    schedule: Schedule,
+    /// The engine, and the iterations on it.
+    solver: Solver,
+    /// Adds and removes Gaussians.
+    population: Population,
+    /// Finds what later timesteps train; none if they train everything.
+    gate: Option<Gate>,
     scene_radius: f32,
-    engine: Box<dyn Engine>,
-    /// As in the engine's state, which may be on another device.
-    num_gaussians: usize,
-    /// Timesteps finished.
-    timestep: usize,
     camera_ids: Vec<usize>,
     /// Whether [`Self::fit`] ended within a timestep.
     is_unfinished: bool,
-    /// Finds what later timesteps train; none if they train everything.
-    gate: Option<Gate>,
-    trained: Trained,
     /// Whether the run continues another one's state, so that its first timestep is trained as a later one.
     continues: bool,
-    /// The channel through which other threads ask for the scene.
-    glimpse: Option<Arc<Glimpse>>,
 }
 
 impl Trainer {
@@ -106,10 +96,8 @@ impl Trainer {
         if cloud.points.is_empty() {
             return Err(none("points of the initial cloud"));
         }
-        let share = config.densify.unseen_share;
-        let gathered = (share > 0.0).then(|| gather_unseen(cloud, cameras, share));
-        let cloud = gathered.as_ref().unwrap_or(cloud);
-        let mut parameters = Parameters::from_cloud(cloud, cameras.len(), config.mask.initial_logit);
+        let cloud = population::initial_points(config, cloud, cameras);
+        let mut parameters = Parameters::from_cloud(&cloud, cameras.len(), config.mask.initial_logit);
         let layout = Layout::with_harmonics(config.color.degree).antialiased(config.render.antialiased);
         parameters.gaussians = std::mem::take(&mut parameters.gaussians).extended(&layout);
         Self::from_parameters(config, parameters, cameras, make)
@@ -138,18 +126,13 @@ impl Trainer {
         let num_gaussians = parameters.num_gaussians();
         let engine = make(State::new(parameters));
         Ok(Self {
-            config: config.clone(),
-            schedule: Schedule::new(config, radius),
+            solver: Solver::new(config, radius, engine, num_gaussians, 0),
+            population: Population::new(config, radius, Vec::new()),
+            gate: gate(config, GateRecord::default()),
             scene_radius: radius,
-            num_gaussians,
-            gate: gate(config, GateRecord::default(), &config.deaths),
-            engine,
-            timestep: 0,
             camera_ids: Vec::new(),
             is_unfinished: false,
-            trained: Trained::ALL,
             continues: false,
-            glimpse: None,
         })
     }
 
@@ -218,37 +201,35 @@ impl Trainer {
         state.timestep = timesteps.saturating_sub(1);
         state.past = past.map(|(first, before_last)| past_of(first, before_last, last));
         let num_gaussians = state.parameters.num_gaussians();
-        let engine = make(state);
+        let (radius, engine) = (last.scene_radius, make(state));
         Self {
-            config: config.clone(),
-            schedule: Schedule::new(config, last.scene_radius),
-            scene_radius: last.scene_radius,
-            num_gaussians,
+            solver: Solver::new(config, radius, engine, num_gaussians, timesteps),
             // Chapters of one scene have the same Gaussians.
-            gate: gate(config, last.gate.clone(), if continues { &DeathConfig::OFF } else { &config.deaths }),
-            engine,
-            timestep: timesteps,
+            population: match continues {
+                true => Population::closed(config, radius),
+                false => Population::new(config, radius, last.unseen.clone()),
+            },
+            gate: gate(config, last.gate.clone()),
+            scene_radius: radius,
             camera_ids: Vec::new(),
             is_unfinished: false,
-            trained: Trained::ALL,
             continues,
-            glimpse: None,
         }
     }
 
     /// The phase of the next timestep.
     pub fn phase(&self) -> Phase {
-        if self.continues { Phase::Rest } else { Phase::of(self.timestep) }
+        if self.continues { Phase::Rest } else { Phase::of(self.solver.timestep) }
     }
 
     /// Number of finished timesteps.
     pub fn timesteps(&self) -> usize {
-        self.timestep
+        self.solver.timestep
     }
 
     /// Current number of Gaussians.
     pub fn num_gaussians(&self) -> usize {
-        self.num_gaussians
+        self.solver.num_gaussians()
     }
 
     /// The state of the optimisation, in the host's memory. A GPU engine first finishes and downloads its iterations.
@@ -256,18 +237,23 @@ impl Trainer {
     /// # Errors
     /// [`TrainError::Gpu`] if the engine failed.
     pub fn state(&mut self) -> Result<&State, TrainError> {
-        self.engine.state()
+        self.solver.engine.state()
+    }
+
+    /// Shows the scene between iterations to threads that ask `glimpse`.
+    pub fn show_to(&mut self, glimpse: Arc<Glimpse>) {
+        self.solver.glimpse = Some(glimpse);
     }
 
     /// The trained share of the scene and of its views at the last finished timestep.
     pub fn trained(&self) -> Trained {
-        self.trained
+        self.solver.trained
     }
 
     /// Whether a resumed run needs [`Self::recall`] to go on as if it had never stopped: its gate then compares the
     /// next images with the previous ones.
     pub fn needs_recall(&self) -> bool {
-        self.timestep > 0 && self.gate.as_ref().is_some_and(Gate::forgot)
+        self.solver.timestep > 0 && self.gate.as_ref().is_some_and(Gate::forgot)
     }
 
     /// Takes the views of the last finished timestep, after a run was resumed. Without them the next timestep trains
@@ -279,7 +265,7 @@ impl Trainer {
     /// [`TrainError::Gpu`] if the engine failed.
     pub fn recall(&mut self, views: &[View]) -> Result<(), TrainError> {
         if let Some(gate) = &mut self.gate {
-            gate.recall(self.engine.state()?, views, all_segmented(views));
+            gate.recall(self.solver.engine.state()?, views, all_segmented(views));
         }
         Ok(())
     }
@@ -287,7 +273,7 @@ impl Trainer {
     fn check_finished(&self) -> Result<(), TrainError> {
         if self.is_unfinished {
             return Err(TrainError::Input {
-                what: format!("timestep {} of the trainer", self.timestep),
+                what: format!("timestep {} of the trainer", self.solver.timestep),
                 found: "a timestep that ended half-way".into(),
                 expected: "a trainer resumed from the last checkpoint".into(),
             });
@@ -301,7 +287,7 @@ impl Trainer {
     /// [`TrainError::Input`] if the last timestep was interrupted; [`TrainError::Gpu`] if the engine failed.
     pub fn checkpoint(&mut self) -> Result<Checkpoint, TrainError> {
         self.check_finished()?;
-        let state = self.engine.state()?;
+        let state = self.solver.engine.state()?;
         Ok(Checkpoint {
             parameters: state.parameters.clone(),
             lifetimes: state.lifetimes.clone(),
@@ -309,6 +295,7 @@ impl Trainer {
             optimizer: state.optimizer.carried_over(),
             scene_radius: self.scene_radius,
             gate: self.gate.as_ref().map(|gate| gate.record().clone()).unwrap_or_default(),
+            unseen: self.population.unseen().to_vec(),
             born: state.born(),
         })
     }
@@ -323,9 +310,9 @@ impl Trainer {
     pub fn mean_psnr(&mut self, views: &[View]) -> Result<f64, TrainError> {
         let mut sum = 0.0;
         for view in views {
-            let mut image = self.engine.draw(&self.config.mask, &view.camera)?;
+            let mut image = self.solver.engine.draw(&self.solver.config.mask, &view.camera)?;
             if let Some(camera) = self.camera_ids.iter().position(|&id| id == view.camera_id) {
-                image = self.engine.state()?.parameters.seen_by_camera(camera, image);
+                image = self.solver.engine.state()?.parameters.seen_by_camera(camera, image);
             }
             sum += psnr(&image, &view.image);
         }
@@ -358,12 +345,8 @@ fn past_of(first: &Checkpoint, before_last: &Checkpoint, last: &Checkpoint) -> P
 }
 
 /// The gate of a run; none if it is off.
-fn gate(config: &TrainConfig, record: GateRecord, deaths: &DeathConfig) -> Option<Gate> {
-    config.gate.enabled.then(|| Gate::new(&config.gate, &config.mask, deaths, record))
-}
-
-fn all_segmented(views: &[View]) -> bool {
-    views.iter().all(|view| view.segmentation.is_some())
+fn gate(config: &TrainConfig, record: GateRecord) -> Option<Gate> {
+    config.gate.enabled.then(|| Gate::new(&config.gate, &config.mask, record))
 }
 
 /// An error for a missing input.

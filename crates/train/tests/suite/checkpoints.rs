@@ -126,6 +126,7 @@ fn sleeping(num_gaussians: usize, timestep: usize) -> Checkpoint {
         optimizer,
         scene_radius: 2.0,
         gate: GateRecord::default(),
+        unseen: Vec::new(),
         born: Pose::default(),
     }
 }
@@ -137,7 +138,8 @@ fn with_lives(timestep: usize) -> Checkpoint {
     lives.0[2].death = 1;
     checkpoint.lifetimes = Lifetimes { ids: vec![0, 1, 3, 4, 5, 6, 7], lives };
     checkpoint.born = Pose { means: vec![[0.0; 3]; 2], quats: vec![[0.0; 4]; 2] };
-    checkpoint.gate = GateRecord { noise: vec![vec![0.1]], errors: vec![vec![0.0; 4]], unseen: vec![1; 7] };
+    checkpoint.gate = GateRecord { noise: vec![vec![0.1]], errors: vec![vec![0.0; 4]] };
+    checkpoint.unseen = vec![1; 7];
     checkpoint
 }
 
@@ -166,7 +168,7 @@ fn lives_that_fit_nothing_are_refused() {
     refused("deaths do not fit births", &|c| c.lifetimes.lives.0[0].death = 0);
     refused("births are not in their order", &|c| c.lifetimes.lives.0.swap(5, 6));
     refused("births has 5 Gaussians of the first timestep, expected 6", &|c| c.lifetimes.lives.0[5].birth = 1);
-    refused("gate_unseen holds 3 values, expected 7", &|c| c.gate.unseen.truncate(3));
+    refused("gate_unseen holds 3 values, expected 7", &|c| c.unseen.truncate(3));
     refused("born_means and born_quats hold [1, 1] poses, expected 2", &|c| {
         c.born.means.truncate(1);
         c.born.quats.truncate(1);

@@ -1,10 +1,10 @@
 //! A look into a training: the scene between two iterations, on request.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use super::Trainer;
+use super::Solver;
 use crate::TrainError;
 use crate::gate::Shares;
 use crate::parameters::Parameters;
@@ -22,8 +22,8 @@ pub struct Glimpsed {
     pub seconds: f64,
 }
 
-/// Lets other threads ask a training for its scene ([`Trainer::show_to`]). The scene is copied on request only, and a
-/// request does not change a bit of the training.
+/// Lets other threads ask a training for its scene ([`Trainer::show_to`](crate::Trainer::show_to)). The scene is copied
+/// on request only, and a request does not change a bit of the training.
 #[derive(Debug, Default)]
 pub struct Glimpse {
     /// Locked by the thread that asks: one after another.
@@ -63,7 +63,7 @@ impl Glimpse {
 }
 
 /// The part of the scene in the engine's state.
-pub(super) struct Part<'a> {
+pub(crate) struct Part<'a> {
     /// Its shares of the scene.
     pub shares: Shares,
     /// The scene before the timestep, and the indices in it of the first rows of the engine's state. None if the
@@ -71,16 +71,11 @@ pub(super) struct Part<'a> {
     pub of: Option<(&'a Parameters, &'a [usize])>,
 }
 
-impl Trainer {
-    /// Shows the scene between iterations to threads that ask `glimpse`.
-    pub fn show_to(&mut self, glimpse: Arc<Glimpse>) {
-        self.glimpse = Some(glimpse);
-    }
-
+impl Solver {
     /// Gives the scene to the thread that asked for it.
     ///
     /// - `iterations`: submitted so far in this timestep
-    pub(super) fn give_glimpse(&mut self, part: Option<&Part>, iterations: usize) -> Result<(), TrainError> {
+    pub(super) fn give_glimpse(&mut self, part: Option<&Part<'_>>, iterations: usize) -> Result<(), TrainError> {
         let Some(glimpse) = self.glimpse.clone().filter(|glimpse| glimpse.is_wanted()) else { return Ok(()) };
         // Iterations that are under way would have taken this time anyway.
         self.engine.wait()?;

@@ -9,8 +9,8 @@ use tcgs_core::{Activated, Camera, Gaussians, Image, View, activate, cameras_bet
 use tcgs_metrics::psnr;
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings, blending_weights, settings::MAX_CHANNELS};
 
+use super::unseen::are_in_images;
 use crate::parameters::corrected;
-use crate::unseen::are_in_images;
 
 /// Bisection ends when the number of Gaussians to remove is known within `1 / PRECISION` of all.
 const PRECISION: usize = 128;

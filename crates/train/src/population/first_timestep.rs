@@ -1,0 +1,191 @@
+//! The first timestep: when Gaussians are cloned, split, removed and reset, and by which rule.
+//!
+//! Constants count iterations of the reference's schedule and scale with the run's ([`Schedule::scaled`]).
+
+use tcgs_core::View;
+
+use super::densify::{DensifyStep, densify, remove_others, reset_opacities};
+use super::removal::{Removal, TimestepViews, needed};
+use crate::config::TrainConfig;
+use crate::mask::{mask, masked_out};
+use crate::schedule::{Phase, Schedule};
+use crate::solver::Asked;
+use crate::state::State;
+
+/// Iteration of the last densification. Reference.
+pub(crate) const DENSIFY_END: usize = 5000;
+
+/// Iterations between removals of masked Gaussians. Compact-3DGS.
+pub(crate) const MASK_PRUNE_INTERVAL: usize = 1000;
+
+/// Number of times that Gaussians are removed that the training images hardly need.
+const NUM_PRUNINGS: usize = 3;
+
+/// Fewest iterations of a first timestep that makes up for the error of such a removal. Not scaled.
+const RECOVERY: f32 = 1000.0;
+
+/// Largest share of the Gaussians that one removal by error takes. The others need iterations to take over.
+const MOST_REMOVED: f32 = 0.4;
+
+/// The rules of the first timestep.
+#[derive(Clone, Debug)]
+pub(super) struct FirstTimestep {
+    config: TrainConfig,
+    schedule: Schedule,
+    scene_radius: f32,
+}
+
+impl FirstTimestep {
+    /// - `scene_radius`: scene units, to which scales are compared
+    pub fn new(config: &TrainConfig, scene_radius: f32) -> Self {
+        Self { config: config.clone(), schedule: Schedule::new(config, scene_radius), scene_radius }
+    }
+
+    /// Asks for a statistic of gradients until the last densification. Gaussians do not move in an iteration before a
+    /// reshaping: new Gaussians have no gradient.
+    pub fn asks(&self, iteration: usize) -> Asked {
+        Asked { counts_gradients: self.counts_gradients(iteration), moves_gaussians: !self.reshapes(iteration) }
+    }
+
+    /// Whether Gaussians are replaced, removed or reset after this iteration.
+    pub fn reshapes(&self, iteration: usize) -> bool {
+        self.densifies(iteration)
+            || self.resets_opacities(iteration)
+            || self.prunes_masked(iteration)
+            || self.prunes_unneeded(iteration)
+    }
+
+    /// Densifies, resets and removes after an iteration.
+    ///
+    /// - `seed`: of the random choices
+    pub fn reshape(&self, state: &mut State, iteration: usize, seed: u64, views: &[View]) {
+        if self.densifies(iteration) {
+            let step = DensifyStep {
+                config: &self.config.densify,
+                scene_radius: self.scene_radius,
+                last: self.is_last_densification(iteration),
+                removes_large: self.removes_large(iteration),
+                seed,
+            };
+            densify(state, &step);
+        }
+        if self.resets_opacities(iteration) {
+            reset_opacities(state);
+        }
+        if self.prunes_masked(iteration) {
+            let threshold = self.config.mask.threshold;
+            let logits = &state.parameters.mask_logits;
+            let keep: Vec<usize> = (0..logits.len()).filter(|&i| mask(logits[i], threshold) > 0.0).collect();
+            if !keep.is_empty() && keep.len() < logits.len() {
+                remove_others(state, &keep);
+            }
+        }
+        if self.prunes_unneeded(iteration) {
+            let threshold = if self.config.mask.enabled { self.config.mask.threshold } else { -1.0 };
+            let is_hidden = masked_out(&state.parameters.mask_logits, threshold);
+            let timestep = TimestepViews {
+                gaussians: &state.parameters.gaussians,
+                is_hidden: &is_hidden,
+                views,
+                corrections: &state.parameters.corrections(),
+            };
+            let keep =
+                needed(&[timestep], &Removal { share: self.prune_error(), most: MOST_REMOVED, costs: None, seed });
+            remove_others(state, &keep);
+        }
+        // Identities matter only once the first timestep is finished.
+        state.number_anew();
+    }
+
+    /// Whether gradients count for densification: until the last one.
+    fn counts_gradients(&self, iteration: usize) -> bool {
+        iteration <= self.schedule.scaled(DENSIFY_END)
+    }
+
+    /// Whether Gaussians are cloned, split and removed after this iteration.
+    fn densifies(&self, iteration: usize) -> bool {
+        let d = &self.config.densify;
+        iteration >= self.schedule.scaled(d.start)
+            && self.counts_gradients(iteration)
+            && iteration > 0
+            && iteration.is_multiple_of(d.interval)
+    }
+
+    /// Whether this is the last densification, which removes far more.
+    fn is_last_densification(&self, iteration: usize) -> bool {
+        self.densifies(iteration) && iteration + self.config.densify.interval > self.schedule.scaled(DENSIFY_END)
+    }
+
+    /// Whether large Gaussians are removed by now.
+    fn removes_large(&self, iteration: usize) -> bool {
+        let from = self.config.densify.prune_large;
+        from > 0 && iteration >= self.schedule.scaled(from)
+    }
+
+    /// Whether opacities are reset after this iteration. A schedule without a whole interval between reset and last
+    /// event has no reset: Gaussians that have not recovered by then would be removed.
+    fn resets_opacities(&self, iteration: usize) -> bool {
+        let d = &self.config.densify;
+        let reset = self.schedule.scaled(d.reset);
+        let recovers = self.schedule.scaled(DENSIFY_END) >= reset + d.interval;
+        d.reset > 0 && iteration > 0 && iteration == reset && recovers
+    }
+
+    /// Whether masked Gaussians are removed after this iteration.
+    fn prunes_masked(&self, iteration: usize) -> bool {
+        let interval = self.schedule.scaled(MASK_PRUNE_INTERVAL).max(1);
+        let ended = iteration > self.schedule.scaled(self.config.mask.prune_end);
+        self.config.mask.enabled && iteration > 0 && iteration.is_multiple_of(interval) && !ended
+    }
+
+    /// Share by which each removal of Gaussians that the images hardly need may increase the squared error. A schedule
+    /// too short to make up for the error has a smaller share.
+    fn prune_error(&self) -> f32 {
+        let iterations = self.schedule.iterations(Phase::First) as f32;
+        self.config.densify.prune_error * (iterations / RECOVERY).min(1.0)
+    }
+
+    /// Whether Gaussians that the training images hardly need are removed after this iteration.
+    fn prunes_unneeded(&self, iteration: usize) -> bool {
+        let span = self.config.quantize.start.saturating_sub(DENSIFY_END);
+        let is_due = |event| iteration == self.schedule.scaled(DENSIFY_END + event * span / (NUM_PRUNINGS + 1));
+        self.config.densify.prune_error > 0.0 && iteration > 0 && (1..=NUM_PRUNINGS).any(is_due)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Preset;
+
+    fn first_timestep(iterations: usize, preset: Preset) -> FirstTimestep {
+        let mut config = TrainConfig::preset(preset);
+        config.schedule.first_iterations = iterations;
+        FirstTimestep::new(&config, 2.0)
+    }
+
+    #[test]
+    fn the_events_of_the_reference_are_the_reference() {
+        let s = first_timestep(10_000, Preset::D3dgs);
+        let events: Vec<usize> = (0..10_000).filter(|&i| s.densifies(i)).collect();
+        assert_eq!((events[0], events[1], events[events.len() - 1]), (500, 600, 5000));
+        assert_eq!((0..10_000).filter(|&i| s.is_last_densification(i)).collect::<Vec<_>>(), [5000]);
+        assert_eq!((0..10_000).filter(|&i| s.resets_opacities(i)).collect::<Vec<_>>(), [3000]);
+    }
+
+    #[test]
+    fn a_short_first_timestep_keeps_the_interval_and_scales_the_rest() {
+        let s = first_timestep(1500, Preset::Default);
+        let events: Vec<usize> = (0..1500).filter(|&i| s.densifies(i)).collect();
+        assert_eq!(events, [100, 200, 300, 400, 500, 600, 700]);
+        assert!(s.is_last_densification(700) && !s.is_last_densification(600));
+        assert_eq!((0..1500).filter(|&i| s.prunes_unneeded(i)).collect::<Vec<_>>(), [788, 825, 863]);
+        assert_eq!((s.prune_error(), first_timestep(60, Preset::Fast).prune_error()), (1.0, 0.06));
+        assert!((0..1500).all(|i| !s.resets_opacities(i) && !s.removes_large(i) && !s.prunes_masked(i)));
+        let (long, short) = (first_timestep(1500, Preset::Paper), first_timestep(250, Preset::Paper));
+        assert!(long.resets_opacities(450) && long.removes_large(450) && long.reshapes(450));
+        assert!(long.prunes_masked(150) && (0..1500).all(|i| !long.prunes_unneeded(i)));
+        assert!((0..250).all(|i| !short.resets_opacities(i)));
+        assert!(s.reshapes(100) && s.reshapes(825) && !s.reshapes(900) && !s.reshapes(1050));
+    }
+}

@@ -1,0 +1,149 @@
+//! The population: adds and removes Gaussians, from the initial points to the last death.
+//!
+//! - **First timestep** (`first_timestep`): clones, splits and removes Gaussians by gradient and opacity (`densify`).
+//!   Prunes Gaussians that masks hide, and Gaussians that the images hardly need, by a measured error (`removal`).
+//! - **Births** (`births`): a later timestep adds Gaussians where the scene does not explain the images (`seeds`).
+//! - **Youth** (`youth`): a Gaussian goes on learning all its attributes for some timesteps after its birth.
+//! - **Deaths** (`deaths`): a later timestep removes Gaussians that no camera has seen for long.
+//!
+//! The trainer calls a [`Population`] at four places: at the start of a later timestep, before an iteration, after it,
+//! and at the end of a later timestep. Another strategy replaces this one struct.
+//!
+//! What does not live here: the choice of what a timestep trains ([`crate::gate`]), the data of a Gaussian
+//! ([`crate::state`]), and its identity ([`crate::lifetimes`]).
+
+mod births;
+mod deaths;
+mod densify;
+mod first_timestep;
+mod nursery;
+mod removal;
+mod seeds;
+mod unseen;
+mod youth;
+
+use std::borrow::Cow;
+
+use tcgs_core::{Camera, PointCloud, View};
+
+use self::births::Births;
+#[cfg(test)]
+pub(crate) use self::births::MIN_OPACITY;
+use self::deaths::Deaths;
+#[cfg(test)]
+pub(crate) use self::densify::{CLONE_SCALE, PRUNE_SCALE, RESET_OPACITY, SPLIT_CHILDREN, SPLIT_SHRINK};
+pub use self::densify::{Densified, DensifyStep, densify, remove_others, reset_opacities};
+use self::first_timestep::FirstTimestep;
+#[cfg(test)]
+pub(crate) use self::first_timestep::{DENSIFY_END, MASK_PRUNE_INTERVAL};
+pub use self::removal::{Removal, TimestepViews, judge_stride, needed};
+pub use self::unseen::are_in_images;
+use self::unseen::gather_unseen;
+use self::youth::raise_young;
+use crate::TrainError;
+use crate::config::{DeathConfig, TrainConfig};
+use crate::gate::{Activity, Gate};
+use crate::schedule::Phase;
+use crate::solver::{Asked, Solver};
+use crate::state::State;
+
+/// The points at which a run's first Gaussians stand.
+///
+/// - `cameras`: of the first timestep's training views
+pub(crate) fn initial_points<'a>(
+    config: &TrainConfig,
+    cloud: &'a PointCloud,
+    cameras: &[Camera],
+) -> Cow<'a, PointCloud> {
+    match config.densify.unseen_share {
+        share if share > 0.0 => Cow::Owned(gather_unseen(cloud, cameras, share)),
+        _ => Cow::Borrowed(cloud),
+    }
+}
+
+/// Adds and removes the Gaussians of a run.
+#[derive(Debug)]
+pub(crate) struct Population {
+    first: FirstTimestep,
+    /// None if no Gaussian is born after the first timestep.
+    births: Option<Births>,
+    /// Timesteps after its birth in which a Gaussian is young.
+    youth: usize,
+    deaths: Deaths,
+}
+
+impl Population {
+    /// - `scene_radius`: scene units
+    /// - `unseen`: from the checkpoint that the run resumes from; empty at the start of a run
+    pub fn new(config: &TrainConfig, scene_radius: f32, unseen: Vec<u32>) -> Self {
+        // The gate measures which Gaussians are seen.
+        let deaths = if config.gate.enabled { &config.deaths } else { &DeathConfig::OFF };
+        Self {
+            first: FirstTimestep::new(config, scene_radius),
+            births: config.births.enabled.then(|| Births::new(config, scene_radius)),
+            youth: config.births.youth,
+            deaths: Deaths::new(deaths, &config.mask, unseen),
+        }
+    }
+
+    /// A population without births and deaths after the first timestep.
+    pub fn closed(config: &TrainConfig, scene_radius: f32) -> Self {
+        let deaths = Deaths::new(&DeathConfig::OFF, &config.mask, Vec::new());
+        Self { births: None, deaths, ..Self::new(config, scene_radius, Vec::new()) }
+    }
+
+    /// `[N]` timestep since which no camera has seen a Gaussian: part of a checkpoint.
+    pub fn unseen(&self) -> &[u32] {
+        self.deaths.unseen()
+    }
+
+    /// At the start of a later timestep.
+    ///
+    /// - `state`: after the previous timestep
+    /// - `activity`: what the timestep trains; none if everything
+    pub fn begin_timestep(&mut self, state: &State, activity: Option<&Activity>) {
+        self.deaths.look(state, activity);
+    }
+
+    /// Before an iteration: tells what the engine does in it for the population.
+    ///
+    /// - `iteration`: within the timestep's schedule, from 0
+    pub fn asks(&self, phase: Phase, iteration: usize) -> Asked {
+        if phase == Phase::First { self.first.asks(iteration) } else { Asked::NOTHING }
+    }
+
+    /// After an iteration of the first timestep.
+    ///
+    /// - `seed`: of the iteration's random choices
+    pub fn after_iteration(
+        &mut self,
+        solver: &mut Solver,
+        iteration: usize,
+        seed: u64,
+        views: &[View],
+    ) -> Result<(), TrainError> {
+        if self.first.reshapes(iteration) {
+            solver.reshape(|state| self.first.reshape(state, iteration, seed, views))?;
+        }
+        Ok(())
+    }
+
+    /// At the end of a later timestep, after its iterations.
+    ///
+    /// - `gate`: with pictures of the scene as it is now
+    /// - `activity`: what the timestep trained
+    pub fn end_timestep(
+        &mut self,
+        solver: &mut Solver,
+        gate: &mut Gate,
+        views: &[View],
+        activity: &Activity,
+    ) -> Result<(), TrainError> {
+        if let Some(births) = &self.births {
+            let num_born = births.give_birth(solver, gate, views, activity)?;
+            self.deaths.welcome(num_born);
+            raise_young(self.youth, solver, gate, views, activity)?;
+        }
+        self.deaths.bury(solver, gate, views)
+    }
+}
