@@ -7,6 +7,7 @@ use tcgs_capture::{CaptureError, Split};
 use tcgs_codec::{CompressError, DecodeError};
 use tcgs_interchange::InterchangeError;
 use tcgs_metrics::MetricsError;
+use tcgs_prepare::PrepareError;
 use tcgs_render::device::GpuError;
 use tcgs_train::TrainError;
 
@@ -104,6 +105,9 @@ pub enum PipelineError {
     /// A capture.
     #[error(transparent)]
     Capture(#[from] CaptureError),
+    /// Making or checking a capture. [`PrepareError::Capture`] becomes [`PipelineError::Capture`].
+    #[error(transparent)]
+    Prepare(PrepareError),
     /// Training, or a run folder. [`TrainError::Stopped`] becomes [`PipelineError::Stopped`].
     #[error(transparent)]
     Train(TrainError),
@@ -160,6 +164,12 @@ impl From<TrainError> for PipelineError {
     }
 }
 
+impl From<PrepareError> for PipelineError {
+    fn from(error: PrepareError) -> Self {
+        if let PrepareError::Capture(error) = error { Self::Capture(error) } else { Self::Prepare(error) }
+    }
+}
+
 /// The party at fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -201,6 +211,7 @@ impl HasFault for PipelineError {
             Self::Decode { error, .. } => error.fault(),
             Self::Compress(error) => error.fault(),
             Self::Capture(error) => error.fault(),
+            Self::Prepare(error) => error.fault(),
             Self::Train(error) => error.fault(),
             Self::Interchange(error) => error.fault(),
             Self::Metrics(error) => error.fault(),
@@ -231,6 +242,16 @@ impl HasFault for CaptureError {
         match self {
             Self::Io { error, .. } => error.fault(),
             Self::Points(error) => error.fault(),
+            _ => Fault::Input,
+        }
+    }
+}
+
+impl HasFault for PrepareError {
+    fn fault(&self) -> Fault {
+        match self {
+            Self::Capture(error) => error.fault(),
+            Self::Io { error, .. } => error.fault(),
             _ => Fault::Input,
         }
     }

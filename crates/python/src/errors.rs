@@ -13,6 +13,7 @@ use tcgs_core::printable;
 use tcgs_interchange::InterchangeError;
 use tcgs_metrics::MetricsError;
 use tcgs_pipeline::{Fault, HasFault, PipelineError};
+use tcgs_prepare::PrepareError;
 use tcgs_render::device::GpuError;
 use tcgs_train::TrainError;
 
@@ -59,6 +60,7 @@ fn cause(error: &PipelineError) -> Option<&io::Error> {
         PipelineError::Unreadable { error, .. }
         | PipelineError::Unwritable { error, .. }
         | PipelineError::Capture(CaptureError::Io { error, .. })
+        | PipelineError::Prepare(PrepareError::Io { error, .. })
         | PipelineError::Train(TrainError::Read { error, .. } | TrainError::Write { error, .. })
         | PipelineError::Interchange(InterchangeError::Read { error, .. } | InterchangeError::Write { error, .. })
         | PipelineError::Metrics(MetricsError::Io { error, .. })

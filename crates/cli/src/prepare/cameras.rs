@@ -5,9 +5,9 @@ use std::path::Path;
 
 use anyhow::Context;
 use serde_json::{Value, json};
-use tcgs_capture::{
-    CalibrationSource, CaptureDescription, CaptureError, FoundCameras, Refinement, find_cameras, moving_cameras,
-    refine_cameras, same_poses, scale_cameras,
+use tcgs_capture::{CalibrationSource, CaptureDescription};
+use tcgs_prepare::{
+    FoundCameras, PrepareError, Refinement, find_cameras, moving_cameras, refine_cameras, same_poses, scale_cameras,
 };
 
 use super::{MODEL, Scale};
@@ -156,8 +156,8 @@ fn in_words(refinement: &Refinement, description: &CaptureDescription) -> Vec<St
 pub fn with_progress<T>(
     name: &'static str,
     num_steps: usize,
-    run: impl FnOnce(&mut dyn FnMut(&str) -> ControlFlow<()>) -> Result<T, CaptureError>,
-) -> Result<T, CaptureError> {
+    run: impl FnOnce(&mut dyn FnMut(&str) -> ControlFlow<()>) -> Result<T, PrepareError>,
+) -> Result<T, PrepareError> {
     let mut progress = Progress::new(name, num_steps);
     let (mut step, mut told) = (0, String::new());
     run(&mut |what: &str| {

@@ -5,8 +5,9 @@ use std::path::Path;
 use anyhow::Context;
 use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
 use serde_json::{Value, json};
-use tcgs_capture::{Capture, Diagnosis};
+use tcgs_capture::Capture;
 use tcgs_core::Image;
+use tcgs_prepare::{CameraFit, Diagnosis};
 
 use super::page;
 use crate::options::JobOptions;
@@ -76,7 +77,7 @@ pub fn after_preparing(path: &Path) -> anyhow::Result<Value> {
 
 fn examined(capture: &Capture) -> anyhow::Result<Diagnosis> {
     let mut progress = Progress::new("checking", NUM_STEPS);
-    Ok(tcgs_capture::check(capture, &mut |step| progress.step(|| step.into()))?)
+    Ok(tcgs_prepare::check(capture, &mut |step| progress.step(|| step.into()))?)
 }
 
 /// The limits of a diagnosis, one sentence each.
@@ -105,8 +106,7 @@ pub fn remarks(diagnosis: &Diagnosis) -> Vec<String> {
             hidden.join(", ")
         ));
     }
-    let shown =
-        |(name, camera): (&String, &tcgs_capture::CameraFit)| unlike(camera.fit).map(|fit| format!("{name} {fit:.2}"));
+    let shown = |(name, camera): (&String, &CameraFit)| unlike(camera.fit).map(|fit| format!("{name} {fit:.2}"));
     let unlike: Vec<String> = undecided().filter_map(shown).collect();
     if !unlike.is_empty() {
         lines.push(format!(

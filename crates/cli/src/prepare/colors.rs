@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use serde_json::{Value, json};
-use tcgs_capture::{CaptureDescription, ColorBalance, ColorSource, balance_colors};
+use tcgs_capture::{CaptureDescription, ColorSource};
+use tcgs_prepare::{ColorBalance, balance_colors};
 
 use super::cameras::with_progress;
 use crate::terminal::say;

@@ -8,8 +8,9 @@ use std::time::Instant;
 use anyhow::Context;
 use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
 use serde_json::{Value, json};
-use tcgs_capture::{Capture, MASKS_FOLDER, MaskSettings, Split, make_masks, obstacle_to_masks};
+use tcgs_capture::{Capture, MASKS_FOLDER, Split};
 use tcgs_core::Segmentation;
+use tcgs_prepare::{MaskSettings, make_masks, obstacle_to_masks};
 
 use crate::error::wrong_input;
 use crate::output::{NewFolder, write_file};

@@ -13,8 +13,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use serde_json::{Value, json};
-use tcgs_capture::{Capture, CaptureError, DESCRIPTION_FILE, MASKS_FOLDER, POINTS_FILE, RawFootage};
+use tcgs_capture::{Capture, CaptureError, DESCRIPTION_FILE, MASKS_FOLDER, POINTS_FILE};
 use tcgs_interchange::is_unfinished;
+use tcgs_prepare::RawFootage;
 
 use crate::error::wrong_input;
 use crate::next;

@@ -5,7 +5,8 @@ use std::path::Path;
 use std::time::Instant;
 
 use serde_json::{Value, json};
-use tcgs_capture::{Capture, CaptureError, Origin, PrepareSettings, Prepared, write_prepared};
+use tcgs_capture::{Capture, Origin, Prepared, write_prepared};
+use tcgs_prepare::{PrepareError, StereoSettings, spread_points, stereo_points};
 
 use super::Arguments;
 use crate::output::write_file_with;
@@ -25,7 +26,7 @@ pub fn make(capture: &Capture, arguments: &Arguments) -> anyhow::Result<(Prepare
     let settings = settings(arguments);
     let begin = Instant::now();
     let mut progress = Progress::new("preparing", NUM_STEPS);
-    let prepared = tcgs_capture::prepare(capture, &settings, &mut |step| progress.step(|| step.into()))?;
+    let prepared = stereo_points(capture, &settings, &mut |step| progress.step(|| step.into()))?;
     drop(progress);
     let seconds = begin.elapsed().as_secs_f64();
     say(&describe(&prepared, seconds))?;
@@ -57,14 +58,14 @@ pub fn make_or_strew(capture: &Capture, arguments: &Arguments) -> anyhow::Result
             format!("only {sure} points have a depth that three cameras agree on")
         }
         Err(error) => match error.downcast_ref() {
-            Some(CaptureError::FarApart { degrees, .. }) => {
+            Some(PrepareError::FarApart { degrees, .. }) => {
                 format!("no three cameras are within {degrees} degrees of each other, so no depth can be seen")
             }
-            Some(CaptureError::NoDepth { .. }) => "no three cameras agree on any depth".into(),
+            Some(PrepareError::NoDepth { .. }) => "no three cameras agree on any depth".into(),
             _ => return Err(error),
         },
     };
-    let prepared = tcgs_capture::spread_points(capture, &settings(arguments))?;
+    let prepared = spread_points(capture, &settings(arguments))?;
     let num_points = prepared.cloud.points.len();
     say(&format!(
         "{num_points} points, strewn where the cameras agree in colour: {why}; views between the cameras will be poor, and \
@@ -74,9 +75,9 @@ pub fn make_or_strew(capture: &Capture, arguments: &Arguments) -> anyhow::Result
     Ok((prepared, told))
 }
 
-fn settings(arguments: &Arguments) -> PrepareSettings {
-    let defaults = PrepareSettings::default();
-    PrepareSettings {
+fn settings(arguments: &Arguments) -> StereoSettings {
+    let defaults = StereoSettings::default();
+    StereoSettings {
         num_points: arguments.points.unwrap_or(defaults.num_points),
         image_width: arguments.width.unwrap_or(defaults.image_width),
         seed: arguments.job.seed.unwrap_or(defaults.seed),

@@ -1,16 +1,17 @@
 //! `tcgs prepare` on a folder of videos: finds cameras and clocks, then makes masks and points.
 //!
 //! What lives here: the order of the steps, their messages, and the test whether the output already holds their result.
-//! What does not: the steps themselves (`tcgs_capture`).
+//! What does not: the steps themselves (`tcgs_prepare`).
 
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
 use anyhow::Context;
 use serde_json::{Value, json};
-use tcgs_capture::{
-    Calibration, Capture, CaptureDescription, ClockEvidence, Clocks, ClocksFrom, ColorBalance, DESCRIPTION_FILE,
-    DescribeSettings, POINTS_FILE, PlacedCameras, RawCamera, RawFootage, Refinement, Role, has_colmap,
+use tcgs_capture::{Calibration, Capture, CaptureDescription, DESCRIPTION_FILE, POINTS_FILE, Role};
+use tcgs_prepare::{
+    ClockEvidence, Clocks, ClocksFrom, ColorBalance, DescribeSettings, PlacedCameras, RawCamera, RawFootage,
+    Refinement, has_colmap,
 };
 
 use super::{Arguments, MODEL, RECORD, begin_capture, cameras, check, colors, link, masks, no_videos, points};
