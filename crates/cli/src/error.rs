@@ -1,6 +1,6 @@
 //! Exit codes and messages of errors; `main` prints the messages.
 
-use tcgs_capture::{CaptureError, Split};
+use tcgs_capture::{Calibration, CaptureError, Split};
 use tcgs_codec::{CompressError, DecodeError};
 use tcgs_core::{Layout, MAX_SH_DEGREE};
 use tcgs_interchange::InterchangeError;
@@ -77,6 +77,14 @@ pub fn message(error: &anyhow::Error) -> String {
                 if is_harmonics(found) { ", and --drop-sh leaves harmonics of other programs' files out" } else { "" };
             format!("{error}; --format 2 holds it{hint}")
         }
+        Some(PipelineError::Exists { .. }) => format!("{error:#} or --force to replace it"),
+        Some(PipelineError::NoMasks { .. }) => format!("{error:#}; or --masks no"),
+        Some(PipelineError::NoCalibration { path }) => format!(
+            "{}: has no calibration, expected {}; or --calibration FILE; or the program colmap, which finds cameras from \
+             their images (apt install colmap)",
+            path.display(),
+            Calibration::marks()
+        ),
         Some(PipelineError::Frames { path, wanted, has }) => format!(
             "--frames {}..{}: {} has the frames {}..{}, expected some of these",
             wanted.start,

@@ -3,7 +3,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use tcgs_capture::{CaptureError, Split};
+use tcgs_capture::{Calibration, CaptureError, Split};
 use tcgs_codec::{CompressError, DecodeError};
 use tcgs_interchange::InterchangeError;
 use tcgs_metrics::MetricsError;
@@ -43,6 +43,29 @@ pub enum PipelineError {
         path: PathBuf,
         /// The system's answer.
         error: io::Error,
+    },
+    /// The place of a new folder is taken.
+    #[error("{}: exists already, expected a new name", path.display())]
+    Exists {
+        /// The place.
+        path: PathBuf,
+    },
+    /// Videos have no calibration, and nothing finds their cameras.
+    #[error(
+        "{}: has no calibration, expected {}, or the program colmap, which finds cameras from their images",
+        path.display(), Calibration::marks()
+    )]
+    NoCalibration {
+        /// The folder of the videos.
+        path: PathBuf,
+    },
+    /// Masks that were asked for are impossible.
+    #[error("{name}: {problem}")]
+    NoMasks {
+        /// Name of the capture.
+        name: String,
+        /// The reason.
+        problem: String,
     },
     /// A `.tcgs` file cannot be decoded.
     #[error("{}: {error}, expected a whole .tcgs file", path.display())]
@@ -201,6 +224,9 @@ impl HasFault for PipelineError {
             Self::Input { .. }
             | Self::Frames { .. }
             | Self::NoCameras { .. }
+            | Self::Exists { .. }
+            | Self::NoCalibration { .. }
+            | Self::NoMasks { .. }
             | Self::TargetBytes { .. }
             | Self::TargetPsnr { .. }
             | Self::MaxError { .. }

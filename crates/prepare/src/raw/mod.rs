@@ -89,6 +89,13 @@ pub struct PlacedCameras {
     cameras: Vec<fit::Fitted>,
 }
 
+impl PlacedCameras {
+    /// Number of cameras.
+    pub fn num_cameras(&self) -> usize {
+        self.cameras.len()
+    }
+}
+
 impl RawFootage {
     /// Whether a folder is one of recordings, and not a capture of a known kind. A kind that has images and no videos
     /// does not count where there are videos.

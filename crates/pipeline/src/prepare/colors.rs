@@ -6,22 +6,26 @@ use serde_json::{Value, json};
 use tcgs_capture::{CaptureDescription, ColorSource};
 use tcgs_prepare::{ColorBalance, balance_colors};
 
-use super::cameras::with_progress;
-use crate::terminal::say;
+use super::say;
+use super::steps::stoppable;
+use crate::error::PipelineError;
+use crate::observe::{Observer, PrepareStep, Work};
 
 /// Least deviation of a gain from 1 that gets its own line.
 const WORTH_A_LINE: f32 = 0.03;
 
-/// Measures gains and offsets, adopts them if colours then agree better, and prints the outcome.
-pub fn balance(source: &Path, description: &mut CaptureDescription) -> anyhow::Result<Option<ColorBalance>> {
-    let balance = with_progress("colours", 3, |tell| balance_colors(source, description, tell))?;
+/// Measures gains and offsets, adopts them if colours then agree better, and reports the outcome.
+pub fn balance(
+    source: &Path,
+    description: &mut CaptureDescription,
+    observer: &mut dyn Observer,
+) -> Result<Option<ColorBalance>, PipelineError> {
+    let balance = stoppable(observer, Work::ComparingColors, 3, |tell| balance_colors(source, description, tell))?;
     let lines = match &balance {
         None => vec!["colours: too few places are seen by several cameras to compare them".into()],
         Some(balance) => in_words(balance, description),
     };
-    for line in &lines {
-        say(line)?;
-    }
+    say(observer, PrepareStep::ColorsCompared(&lines))?;
     let mut colors = ColorSource::default();
     colors.found = lines.iter().map(|line| line.trim().trim_start_matches("colours: ").into()).collect();
     description.colors = Some(colors);

@@ -3,29 +3,31 @@
 use std::fs;
 use std::path::Path;
 
-use anyhow::Context;
+use super::unwritable;
+use crate::error::PipelineError;
 
 /// Links all visible files of a folder and its subfolders, or copies a file that cannot be linked.
 ///
 /// - `without`: names to leave out at the top level
-pub fn link_tree(from: &Path, to: &Path, without: &[&str]) -> anyhow::Result<()> {
-    for entry in fs::read_dir(from).with_context(|| format!("reading {}", from.display()))? {
-        let entry = entry.with_context(|| format!("reading {}", from.display()))?;
+pub fn link_tree(from: &Path, to: &Path, without: &[&str]) -> Result<(), PipelineError> {
+    let unlisted = |error| PipelineError::unreadable(from, error, "a folder that can be listed");
+    for entry in fs::read_dir(from).map_err(unlisted)? {
+        let entry = entry.map_err(unlisted)?;
         let (source, name) = (entry.path(), entry.file_name());
         let shown = name.to_string_lossy();
         if shown.starts_with('.') || without.contains(&&*shown) {
             continue;
         }
         let target = to.join(&name);
-        let context = || format!("writing {}", target.display());
         if source.is_dir() {
-            fs::create_dir(&target).with_context(context)?;
+            fs::create_dir(&target).map_err(unwritable(&target))?;
             link_tree(&source, &target, &[])?;
         } else {
             // Follows a symbolic link: the capture must not break when its source moves.
-            let file = source.canonicalize().with_context(|| format!("reading {}", source.display()))?;
+            let file = source.canonicalize();
+            let file = file.map_err(|error| PipelineError::unreadable(&source, error, "a file that can be read"))?;
             if fs::hard_link(&file, &target).is_err() {
-                fs::copy(&file, &target).with_context(context)?;
+                fs::copy(&file, &target).map_err(unwritable(&target))?;
             }
         }
     }

@@ -1,41 +1,32 @@
 //! Poses of the cameras of a folder of videos: found by COLMAP, refined, scaled, and reported.
 
-use std::ops::ControlFlow;
 use std::path::Path;
 
-use anyhow::Context;
 use serde_json::{Value, json};
 use tcgs_capture::{CalibrationSource, CaptureDescription};
-use tcgs_prepare::{
-    FoundCameras, PrepareError, Refinement, find_cameras, moving_cameras, refine_cameras, same_poses, scale_cameras,
-};
+use tcgs_prepare::{FoundCameras, Refinement, find_cameras, moving_cameras, refine_cameras, same_poses, scale_cameras};
 
-use super::{MODEL, Scale};
-use crate::error::wrong_input;
-use crate::interrupt;
-use crate::progress::Progress;
-use crate::terminal::say;
+use super::steps::stoppable;
+use super::{MODEL, fault, say, unwritable};
+use crate::error::PipelineError;
+use crate::observe::{Observer, PrepareStep, Work};
 
 /// Refuses moving cameras.
-pub fn check_still(source: &Path, description: &CaptureDescription) -> anyhow::Result<()> {
+pub fn check_still(source: &Path, description: &CaptureDescription) -> Result<(), PipelineError> {
     let moving = moving_cameras(source, description)?;
     if moving.is_empty() {
         return Ok(());
     }
     let problem = "what it shows is elsewhere later on, expected a camera that stands still";
-    Err(wrong_input(format!(
-        "{}: {}: {problem}; cameras that move are not supported",
-        source.display(),
-        moving.join(", ")
-    )))
+    Err(fault(source, format!("{}: {problem}; cameras that move are not supported", moving.join(", "))))
 }
 
-/// Prints cameras of a calibration that share one pose, before any computation uses it.
-pub fn note_same_poses(description: &CaptureDescription) -> anyhow::Result<()> {
+/// Reports cameras of a calibration that share one pose, before any computation uses it.
+pub fn note_same_poses(description: &CaptureDescription, observer: &mut dyn Observer) -> Result<(), PipelineError> {
     let poses: Vec<_> = description.cameras.iter().map(|camera| camera.camera_from_world).collect();
     for group in same_poses(&poses) {
         let names: Vec<&str> = group.iter().map(|&i| description.cameras[i].name.as_str()).collect();
-        say(&format!("  {} have one pose: the same place and the same direction; is one a copy?", names.join(", ")))?;
+        say(observer, PrepareStep::SamePose(&names))?;
     }
     Ok(())
 }
@@ -43,14 +34,15 @@ pub fn note_same_poses(description: &CaptureDescription) -> anyhow::Result<()> {
 /// Finds the poses of the cameras by COLMAP.
 ///
 /// - `temporary`: a folder that the caller removes
-pub fn find(source: &Path, description: &mut CaptureDescription, temporary: &Path) -> anyhow::Result<FoundCameras> {
+pub fn find(
+    source: &Path,
+    description: &mut CaptureDescription,
+    temporary: &Path,
+    observer: &mut dyn Observer,
+) -> Result<FoundCameras, PipelineError> {
     let work = temporary.join("work");
-    std::fs::create_dir(&work).with_context(|| format!("writing {}", work.display()))?;
-    // COLMAP is a child process, which a signal must end first.
-    let found =
-        interrupt::politely(|| with_progress("cameras", 6, |tell| find_cameras(source, description, &work, tell)));
-    interrupt::check()?;
-    let found = found?;
+    std::fs::create_dir(&work).map_err(unwritable(&work))?;
+    let found = stoppable(observer, Work::FindingCameras, 6, |tell| find_cameras(source, description, &work, tell))?;
     let mut calibration = CalibrationSource::default();
     (calibration.file, calibration.format) = (MODEL.into(), "colmap".into());
     let how = format!(
@@ -58,39 +50,45 @@ pub fn find(source: &Path, description: &mut CaptureDescription, temporary: &Pat
         found.num_points(),
         found.error_px
     );
-    say(&format!("cameras: {how}"))?;
+    say(observer, PrepareStep::CamerasFound(&how))?;
     calibration.changes.push(how);
     description.calibration = Some(calibration);
     Ok(found)
 }
 
-/// Refines a calibration if that lowers its errors, and prints by how much.
-pub fn refine(source: &Path, description: &mut CaptureDescription) -> anyhow::Result<Option<Refinement>> {
-    let refinement = with_progress("refining", 3, |tell| refine_cameras(source, description, tell))?;
+/// Refines a calibration if that lowers its errors, and reports by how much.
+pub fn refine(
+    source: &Path,
+    description: &mut CaptureDescription,
+    observer: &mut dyn Observer,
+) -> Result<Option<Refinement>, PipelineError> {
+    let refinement = stoppable(observer, Work::RefiningCameras, 3, |tell| refine_cameras(source, description, tell))?;
     let lines = match &refinement {
         None => {
             vec!["too few places are seen by several cameras to judge the calibration, which is taken as it is".into()]
         }
         Some(refinement) => in_words(refinement, description),
     };
-    for line in &lines {
-        say(&format!("  {line}"))?;
-    }
+    say(observer, PrepareStep::Refined(&lines))?;
     if let Some(calibration) = &mut description.calibration {
         calibration.changes.extend(lines);
     }
     Ok(refinement)
 }
 
-/// Scales all lengths to a measured distance.
+/// Scales all lengths to a measured distance of two cameras.
 ///
 /// - returns: the factor
-pub fn scale(source: &Path, description: &mut CaptureDescription, scale: &Scale) -> anyhow::Result<f64> {
-    let [a, b] = &scale.cameras;
-    let factor = scale_cameras(description, [a, b], scale.metres)
-        .map_err(|problem| wrong_input(format!("{}: {problem}", source.display())))?;
-    let line = format!("lengths are multiplied by {factor:.4}, so that {a} and {b} are {} m apart", scale.metres);
-    say(&format!("  {line}"))?;
+pub fn scale(
+    source: &Path,
+    description: &mut CaptureDescription,
+    [a, b]: &[String; 2],
+    metres: f64,
+    observer: &mut dyn Observer,
+) -> Result<f64, PipelineError> {
+    let factor = scale_cameras(description, [a, b], metres).map_err(|problem| fault(source, problem))?;
+    let line = format!("lengths are multiplied by {factor:.4}, so that {a} and {b} are {metres} m apart");
+    say(observer, PrepareStep::Scaled(&line))?;
     if let Some(calibration) = &mut description.calibration {
         calibration.changes.push(line);
     }
@@ -148,24 +146,4 @@ fn in_words(refinement: &Refinement, description: &CaptureDescription) -> Vec<St
     };
     lines.extend(description.cameras.iter().zip(&refinement.camera_error_px).map(of_camera));
     lines
-}
-
-/// Shows the progress of a call, and stops it after Ctrl-C.
-///
-/// - `num_steps`: usual number of steps; the text up to a comma identifies a step
-pub fn with_progress<T>(
-    name: &'static str,
-    num_steps: usize,
-    run: impl FnOnce(&mut dyn FnMut(&str) -> ControlFlow<()>) -> Result<T, PrepareError>,
-) -> Result<T, PrepareError> {
-    let mut progress = Progress::new(name, num_steps);
-    let (mut step, mut told) = (0, String::new());
-    run(&mut |what: &str| {
-        let head = what.split(',').next().unwrap_or_default();
-        if told != head {
-            (step, told) = ((step + 1).min(num_steps), head.into());
-        }
-        progress.advance_to(step - 1, || what.into());
-        interrupt::asked()
-    })
 }

@@ -1,5 +1,7 @@
 //! Events of a long call, and its cancellation.
 
+mod prepare_step;
+
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Arc;
@@ -8,6 +10,8 @@ use tcgs_core::View;
 use tcgs_train::{Progress, Trained};
 
 use crate::error::PipelineError;
+
+pub use prepare_step::PrepareStep;
 
 /// Something that happened in a long call.
 #[derive(Clone, Copy, Debug)]
@@ -67,6 +71,15 @@ pub enum Event<'a> {
     Measured(&'a ErrorTrial),
     /// A step of any other work: this frame, or an image of it, is done.
     Frame(usize),
+    /// A step of [`prepare`](crate::prepare()) goes on.
+    Step {
+        /// Steps of the work that are done.
+        num_done: usize,
+        /// What is done now, in words.
+        what: &'a str,
+    },
+    /// A step of [`prepare`](crate::prepare()) has a result.
+    Prepared(&'a PrepareStep<'a>),
 }
 
 /// A timestep that is trained and saved.
@@ -153,6 +166,20 @@ pub enum Work {
     Measuring,
     /// The codes of a compressed scene are trained. A step is an iteration.
     Refining,
+    /// Clocks of videos are measured. A step is a thousandth.
+    MeasuringClocks,
+    /// COLMAP finds the cameras of videos.
+    FindingCameras,
+    /// A calibration is refined.
+    RefiningCameras,
+    /// Exposure and white balance of cameras are compared.
+    ComparingColors,
+    /// Masks are made. A step is a hundredth.
+    Masking,
+    /// Initial points are made.
+    MakingPoints,
+    /// A capture is checked.
+    Checking,
 }
 
 impl Work {
@@ -165,7 +192,13 @@ impl Work {
             Self::Exporting => "exporting",
             Self::Verifying => "verifying",
             Self::Measuring => "measuring",
-            Self::Refining => "refining",
+            Self::Refining | Self::RefiningCameras => "refining",
+            Self::MeasuringClocks => "clocks",
+            Self::FindingCameras => "cameras",
+            Self::ComparingColors => "colours",
+            Self::Masking => "masks",
+            Self::MakingPoints => "preparing",
+            Self::Checking => "checking",
         }
     }
 }
