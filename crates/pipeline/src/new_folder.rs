@@ -1,4 +1,4 @@
-//! Folders of results that appear whole or not at all, and that replace only what is known to be a result.
+//! Folders of results. They appear whole or not at all, and replace results only.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -31,8 +31,8 @@ impl NewFolder {
     ///   that a slip cannot cost a home directory
     ///
     /// # Errors
-    /// [`PipelineError::Exists`] for a folder that is not replaced; other errors for a place that cannot be written, or
-    /// that another process writes.
+    /// [`PipelineError::Exists`] if the folder exists and is not replaced. Other errors if the place cannot be written, or
+    /// another process writes it.
     pub fn begin(place: &Path, force: bool, is_ours: fn(&Path) -> bool) -> Result<Self, PipelineError> {
         Self::check_name(place)?;
         let exists = || PipelineError::Exists { path: place.into() };

@@ -58,7 +58,7 @@ impl Words {
         }
     }
 
-    /// What a dry run would do.
+    /// The lines about work that a dry run leaves out.
     fn planned(&self, work: Work) -> Vec<&'static str> {
         match work {
             Work::MeasuringClocks => {

@@ -75,7 +75,7 @@ pub enum Event<'a> {
     Step {
         /// Steps of the work that are done.
         num_done: usize,
-        /// What is done now, in words.
+        /// The current step in words.
         what: &'a str,
     },
     /// A step of [`prepare`](crate::prepare()) has a result.

@@ -72,6 +72,6 @@ pub enum PrepareStep<'a> {
         /// The reason.
         why: &'a str,
     },
-    /// What was in the place of the capture before could not be removed: a warning.
+    /// A warning: the replaced capture could not be removed.
     LeftOver(&'a str),
 }

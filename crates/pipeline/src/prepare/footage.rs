@@ -1,5 +1,5 @@
-//! Cameras and clocks of a folder of videos: the order of the steps, and the test whether the output already holds their
-//! result.
+//! Cameras and clocks of a folder of videos: the order of the steps, and the test whether the output already holds
+//! their result.
 
 use std::path::Path;
 use std::sync::mpsc;

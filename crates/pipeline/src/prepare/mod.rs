@@ -1,8 +1,13 @@
 //! From footage to a capture that can be trained: the order of the steps, and which of them are skipped.
 //!
-//! What lives here: [`prepare`], and one file for each step. `footage` makes cameras and clocks of videos, by `cameras`
-//! and `colors`. `masks` marks what moves, `points` makes initial points, `link` brings files into the capture. What does
-//! not: the methods (`tcgs_prepare`), and the words of the command line.
+//! What lives here: [`prepare`], and one file for each step.
+//!
+//! - `footage` makes cameras and clocks of videos, with the help of `cameras` and `colors`.
+//! - `masks` marks what moves.
+//! - `points` makes initial points.
+//! - `link` brings the source's files into the capture.
+//!
+//! What does not: the methods (`tcgs_prepare`), and the words of the command line.
 
 mod cameras;
 mod colors;
@@ -88,6 +93,34 @@ impl Default for PrepareOptions {
     }
 }
 
+impl PrepareOptions {
+    /// Refuses numbers that no footage has.
+    fn check(&self) -> Result<(), PipelineError> {
+        let FootageOptions { scale, from_secs, to_secs, every, images_fps, .. } = &self.footage;
+        let is_secs = |secs: f64| secs.is_finite() && secs >= 0.0;
+        let is_above_0 = |number: f64| number.is_finite() && number > 0.0;
+        let metres = scale.as_ref().map(|(_, metres)| *metres);
+        let numbers: [(&str, Option<f64>, &str, &dyn Fn(f64) -> bool); 4] = [
+            ("from_secs", *from_secs, "seconds, 0 or more", &is_secs),
+            ("to_secs", *to_secs, "seconds, 0 or more", &is_secs),
+            ("images_fps", *images_fps, "a number above 0", &is_above_0),
+            ("scale", metres, "a number above 0", &is_above_0),
+        ];
+        for (name, number, expected, is_such) in numbers {
+            if let Some(found) = number.filter(|&number| !is_such(number)) {
+                return Err(PipelineError::input(name, format!("is {found}"), expected));
+            }
+        }
+        let counts = [("every", *every), ("num_points", Some(self.stereo.num_points))];
+        for (name, count) in counts.into_iter().chain([("image_width", Some(self.stereo.image_width))]) {
+            if count == Some(0) {
+                return Err(PipelineError::input(name, "is 0", "1 or more"));
+            }
+        }
+        Ok(())
+    }
+}
+
 impl Default for FootageOptions {
     fn default() -> Self {
         Self {
@@ -153,15 +186,16 @@ pub struct PreparedCapture {
 /// ```
 ///
 /// # Errors
-/// [`PipelineError`] if the source holds neither videos nor a capture, if a file cannot be read or written, if `out`
-/// exists and is not replaced, or if no capture can be made of the source. `out` is then as before, except that the
-/// results of finished steps may be in it. [`PipelineError::Stopped`] if the observer stops the call.
+/// [`PipelineError`] if the source holds neither videos nor a capture, or no capture can be made of it. Also if a file
+/// cannot be read or written, or `out` exists and is not replaced. `out` is then as before, except that it may hold the
+/// results of finished steps. [`PipelineError::Stopped`] if the observer stops the call.
 pub fn prepare(
     source: &Path,
     out: &Path,
     options: &PrepareOptions,
     observer: &mut dyn Observer,
 ) -> Result<Option<PreparedCapture>, PipelineError> {
+    options.check()?;
     let record = match options.footage.is_footage(source)? {
         true => of_footage(source, out, options, observer)?,
         false => of_capture(source, out, options, observer)?,

@@ -53,8 +53,8 @@ pub fn make_points(
     Ok((prepared, told))
 }
 
-/// Makes points for a capture of few cameras. As [`make_points`], but strews the points if the cameras stand too far apart for
-/// stereo, or hardly agree on any depth. Any other error is returned.
+/// Makes points for a capture of few cameras. As [`make_points`], but strews the points if the cameras stand too far
+/// apart for stereo, or hardly agree on any depth. Any other error is returned.
 pub(super) fn make_or_strew(
     capture: &Capture,
     settings: &StereoSettings,

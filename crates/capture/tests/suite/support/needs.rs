@@ -1,4 +1,4 @@
-//! What some tests need beside the checkout; without it they are skipped.
+//! Captures and programs beside the checkout. Tests that need an absent one are skipped.
 
 use std::fmt::Display;
 use std::io::Write;

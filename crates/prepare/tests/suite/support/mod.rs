@@ -1,4 +1,4 @@
-//! What tests of this crate and of `tcgs-capture` share.
+//! Helpers that these tests share with those of `tcgs-capture`.
 
 #[path = "../../../../capture/tests/suite/support/needs.rs"]
 mod needs;
