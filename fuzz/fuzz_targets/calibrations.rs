@@ -1,11 +1,13 @@
 //! Any bytes as a calibration, a description or the cameras of a capture: read or refused in a line that names a file.
 #![no_main]
 
+use std::error::Error;
 use std::fs;
 use std::path::Path;
 
 use libfuzzer_sys::fuzz_target;
-use tcgs_capture::{Calibration, Capture, CaptureDescription, CaptureError, Clocks};
+use tcgs_capture::{Calibration, Capture, CaptureDescription};
+use tcgs_prepare::Clocks;
 
 /// The files of a format: the first and the second part of the input.
 const FORMATS: [[&str; 2]; 11] = [
@@ -22,7 +24,7 @@ const FORMATS: [[&str; 2]; 11] = [
     ["cameras_parameters.txt", ""],
 ];
 
-fn look<T>(result: Result<T, CaptureError>, folder: &Path) {
+fn look<T>(result: Result<T, impl Error>, folder: &Path) {
     if let Err(error) = result {
         let message = error.to_string();
         assert!(message.starts_with(folder.to_str().expect("a name in UTF-8")), "{message}");

@@ -49,7 +49,7 @@ pub enum Split {
 #[derive(Clone, Debug)]
 pub struct Capture {
     /// The folder; for [`CaptureKind::BUILT`] the name that the program gave.
-    pub(crate) path: PathBuf,
+    path: PathBuf,
     kind: CaptureKind,
     facts: CaptureFacts,
     contents: Contents,
@@ -76,8 +76,7 @@ impl Capture {
     }
 
     /// Opens the capture in a folder as [`Self::open`] does, without the check that most cameras see the points.
-    /// Programs that make new points ([`prepare`](crate::prepare)) or examine the cameras ([`check`](crate::check))
-    /// call this.
+    /// Programs that make new points or examine the cameras call this.
     ///
     /// - `path`: the folder
     ///
@@ -124,6 +123,11 @@ impl Capture {
             points_in_view::check(&cameras, &cloud).map_err(|problem| CaptureError::invalid(file, problem))?;
         }
         Ok(())
+    }
+
+    /// The folder; for a built capture the name given to [`CaptureBuilder::new`](crate::CaptureBuilder::new).
+    pub fn path(&self) -> &Path {
+        &self.path
     }
 
     /// The kind that the folder was recognised as; [`CaptureKind::BUILT`] for a capture made by a
@@ -327,7 +331,10 @@ impl Capture {
     }
 
     /// The initial points whose depth is measured; all points if their file does not say how they were made.
-    pub(crate) fn evidence(&self) -> Result<PointCloud, CaptureError> {
+    ///
+    /// # Errors
+    /// As [`Self::point_cloud`]; also if the file says how more or fewer points were made than it has.
+    pub fn evidence(&self) -> Result<PointCloud, CaptureError> {
         let cloud = self.point_cloud()?;
         match self.origins()? {
             Some(origins) if origins.len() == cloud.points.len() => Ok(measured(&cloud, &origins)),

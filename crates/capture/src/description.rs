@@ -50,7 +50,6 @@ pub struct CaptureDescription {
 /// Source of a capture's calibration. For people: nothing is computed from it.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Eq)]
 #[serde(deny_unknown_fields)]
-#[non_exhaustive]
 pub struct CalibrationSource {
     /// Name of the file, which lies beside the description.
     pub file: String,
@@ -64,7 +63,6 @@ pub struct CalibrationSource {
 /// How the clocks of a capture were found. For people: nothing is computed from it.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Eq)]
 #[serde(deny_unknown_fields)]
-#[non_exhaustive]
 pub struct ClockSource {
     /// `sound`, `motion`, `file`, or `assumed`.
     pub from: String,
@@ -103,7 +101,6 @@ pub enum Role {
 /// One camera of a description.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
-#[non_exhaustive]
 pub struct DescribedCamera {
     /// Number by which messages and results name the camera.
     pub id: usize,

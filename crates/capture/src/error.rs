@@ -35,8 +35,8 @@ pub enum CaptureError {
         /// Description of the fault: found and expected.
         problem: String,
     },
-    /// The capture has no initial points. [`prepare`](crate::prepare) makes points,
-    /// [`Capture::with_points`](crate::Capture::with_points) takes them from another file.
+    /// The capture has no initial points. [`Capture::with_points`](crate::Capture::with_points) takes them from another
+    /// file.
     #[error(
         "{}: has no initial points, expected init_pt_cld.npz, points3D.ply or a COLMAP model in it",
         path.display()
@@ -44,32 +44,6 @@ pub enum CaptureError {
     NoPoints {
         /// The capture's folder.
         path: PathBuf,
-    },
-    /// [`prepare`](crate::prepare) found no depth on which three views agree. [`check`](crate::check) looks for the
-    /// reason.
-    #[error("{}: no three views agree on any depth, expected cameras that fit the images", path.display())]
-    NoDepth {
-        /// The capture's folder.
-        path: PathBuf,
-    },
-    /// [`prepare`](crate::prepare) compares cameras, and these stand too far apart, or all in one place.
-    /// [`spread_points`](crate::spread_points) makes points all the same.
-    #[error(
-        "{}: has no training camera with two others within {degrees} degrees of its direction and away from its place, \
-         expected cameras closer together, or points from elsewhere",
-        path.display()
-    )]
-    FarApart {
-        /// The capture's folder.
-        path: PathBuf,
-        /// How far two cameras that are compared may differ in direction, degrees.
-        degrees: usize,
-    },
-    /// A program that finds cameras could not be run, or failed, or was stopped.
-    #[error("{problem}")]
-    Program {
-        /// Description of the failure, and of what was expected.
-        problem: String,
     },
     /// A PLY, npz or npy file of points or poses cannot be read.
     #[error(transparent)]

@@ -24,12 +24,18 @@ pub(crate) fn bytes(path: &Path) -> Result<Vec<u8>, CaptureError> {
 }
 
 /// Reads a text that a person or a calibration wrote.
-pub(crate) fn text(path: &Path) -> Result<String, CaptureError> {
+///
+/// # Errors
+/// [`CaptureError`] if the file cannot be read, or is larger than any such file.
+pub fn text(path: &Path) -> Result<String, CaptureError> {
     read_text(path, MAX_TEXT_BYTES).map_err(|error| CaptureError::Io { path: path.into(), error })
 }
 
 /// Reads a text of COLMAP, which lists every feature of every image.
-pub(crate) fn long_text(path: &Path) -> Result<String, CaptureError> {
+///
+/// # Errors
+/// [`CaptureError`] if the file cannot be read, or is larger than any such file.
+pub fn long_text(path: &Path) -> Result<String, CaptureError> {
     read_text(path, MAX_BYTES).map_err(|error| CaptureError::Io { path: path.into(), error })
 }
 
@@ -39,7 +45,10 @@ pub(crate) fn check_regular(path: &Path) -> Result<(), CaptureError> {
 }
 
 /// The visible files and folders of a folder, in the natural order of their names.
-pub(crate) fn list(folder: &Path) -> Result<Vec<PathBuf>, CaptureError> {
+///
+/// # Errors
+/// [`CaptureError`] if the folder cannot be listed.
+pub fn list(folder: &Path) -> Result<Vec<PathBuf>, CaptureError> {
     let failed = |error| CaptureError::Io { path: folder.into(), error };
     let mut paths = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(failed)? {
@@ -53,7 +62,10 @@ pub(crate) fn list(folder: &Path) -> Result<Vec<PathBuf>, CaptureError> {
 }
 
 /// The images of a folder, in the natural order of their names.
-pub(crate) fn images(folder: &Path) -> Result<Vec<PathBuf>, CaptureError> {
+///
+/// # Errors
+/// [`CaptureError`] if the folder cannot be listed.
+pub fn images(folder: &Path) -> Result<Vec<PathBuf>, CaptureError> {
     let mut listings = Listings::default();
     let mut paths = list(folder)?;
     paths.retain(|path| has_extension(path, &["png", "jpg", "jpeg"]) && listings.has_file(path));
@@ -92,16 +104,17 @@ fn names_of_files(folder: &Path) -> Option<HashSet<OsString>> {
     Some(entries.flatten().filter(is_file).map(|entry| entry.file_name()).collect())
 }
 
-pub(crate) fn has_extension(path: &Path, extensions: &[&str]) -> bool {
+/// Whether a path has one of the extensions, in lower or upper case.
+pub fn has_extension(path: &Path, extensions: &[&str]) -> bool {
     path.extension().is_some_and(|found| extensions.iter().any(|wanted| found.eq_ignore_ascii_case(wanted)))
 }
 
 /// The last part of a path.
-pub(crate) fn name(path: &Path) -> String {
+pub fn name(path: &Path) -> String {
     path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
 /// The last part of a path without its extension.
-pub(crate) fn stem(path: &Path) -> String {
+pub fn stem(path: &Path) -> String {
     path.file_stem().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }

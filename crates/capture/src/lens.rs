@@ -10,13 +10,14 @@ use tcgs_core::Image;
 /// With `x, y` on the plane at depth 1 and `r² = x² + y²`, the ray falls on `focal * (x', y') + principal`, where
 /// `x' = x (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶) + 2 p1 x y + p2 (r² + 2 x²)`, and `y'` likewise.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Lens {
-    /// Image size, pixels.
+pub struct Lens {
+    /// Width of the image, pixels.
     pub width: usize,
+    /// Height of the image, pixels.
     pub height: usize,
-    /// Pixels.
+    /// Focal lengths `fx, fy`, pixels.
     pub focal: [f64; 2],
-    /// Pixels; pixel centres at +0.5.
+    /// Principal point `cx, cy`, pixels; pixel centres at +0.5.
     pub principal: [f64; 2],
     /// `k1` to `k6`
     pub radial: [f64; 6],
@@ -28,10 +29,14 @@ pub(crate) struct Lens {
 
 /// A rectangle of pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Crop {
+pub struct Crop {
+    /// First column.
     pub left: usize,
+    /// First row.
     pub top: usize,
+    /// Number of columns.
     pub width: usize,
+    /// Number of rows.
     pub height: usize,
 }
 

@@ -33,7 +33,7 @@ pub(crate) fn check(cameras: &[&Camera], cloud: &PointCloud) -> Result<(), Strin
     if !most(num_cameras - given) {
         return Ok(());
     }
-    let inverted = count(&|camera| share_seen(&inverse(camera), &subject) >= SEEING_SHARE);
+    let inverted = count(&|camera| share_seen(&camera.inverse(), &subject) >= SEEING_SHARE);
     if most(inverted) {
         return Err(format!(
             "the matrices look like c2w (camera to world), expected w2c (world to camera); cameras look outward: \
@@ -54,13 +54,6 @@ pub(crate) fn check(cameras: &[&Camera], cloud: &PointCloud) -> Result<(), Strin
 fn thinned(points: impl Iterator<Item = [f32; 3]> + Clone) -> Vec<[f32; 3]> {
     let step = points.clone().count().div_ceil(MAX_POINTS).max(1);
     points.step_by(step).collect()
-}
-
-/// The camera with its matrix inverted: `Rᵀ`, `−Rᵀ t`.
-pub(crate) fn inverse(camera: &Camera) -> Camera {
-    let (m, center) = (&camera.camera_from_world, camera.center());
-    let row = |i: usize| [m[0][i], m[1][i], m[2][i], center[i]];
-    Camera { camera_from_world: [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]], ..camera.clone() }
 }
 
 fn share_seen(camera: &Camera, points: &[[f32; 3]]) -> f64 {
@@ -110,7 +103,7 @@ mod tests {
     }
 
     fn swapped(cameras: &[Camera]) -> Vec<Camera> {
-        cameras.iter().map(inverse).collect()
+        cameras.iter().map(Camera::inverse).collect()
     }
 
     #[test]

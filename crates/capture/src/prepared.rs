@@ -1,8 +1,8 @@
-//! Initial points, and the step that made each.
+//! Initial points, and how each was made.
 
 use tcgs_core::PointCloud;
 
-/// The step of [`prepare`](crate::prepare()) that made a point, from the most to the least reliable.
+/// How a point was made, from the most to the least reliable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Origin {
     /// At least three views agree on the point's depth.
@@ -14,8 +14,7 @@ pub enum Origin {
     /// The point lies on the sphere or the floor that encloses the scene, on a ray that met no other point. Its colour
     /// is that of one camera's picture.
     Shell,
-    /// The point was strewn where cameras agree in colour, and its depth is unknown
-    /// ([`spread_points`](crate::spread_points)).
+    /// The point was strewn where cameras agree in colour, and its depth is unknown.
     Strewn,
 }
 
@@ -30,13 +29,13 @@ impl Origin {
     }
 }
 
-/// The point cloud that [`prepare`](crate::prepare()) makes, and the step that made each point.
+/// Initial points that were made from the images, and how each was made.
 #[derive(Clone, Debug, Default)]
 pub struct Prepared {
     /// `P` points: positions in scene units, colours in `[0, 1]`, foreground labels from the masks. Without masks all
     /// points are foreground, since anything may move.
     pub cloud: PointCloud,
-    /// `[P]`, the step that made each point of `cloud`.
+    /// `[P]`, how each point of `cloud` was made.
     pub origins: Vec<Origin>,
     /// Share of the pixels of all training views whose depth other views confirm, in `[0, 1]`. A small share means that
     /// cameras and images do not fit together.
@@ -45,11 +44,11 @@ pub struct Prepared {
 
 impl Prepared {
     /// The points whose depth is measured ([`Origin::is_measured`]).
-    pub(crate) fn measured(&self) -> PointCloud {
+    pub fn measured(&self) -> PointCloud {
         measured(&self.cloud, &self.origins)
     }
 
-    /// Number of points that one step made.
+    /// Number of points of one origin.
     pub fn count(&self, origin: Origin) -> usize {
         self.origins.iter().filter(|&&o| o == origin).count()
     }

@@ -1,11 +1,12 @@
 //! Exit codes and messages of errors; `main` prints the messages.
 
-use tcgs_capture::{CaptureError, RawFootage, Split};
+use tcgs_capture::{Calibration, CaptureError, Split};
 use tcgs_codec::{CompressError, DecodeError};
 use tcgs_core::{Layout, MAX_SH_DEGREE};
 use tcgs_interchange::InterchangeError;
 use tcgs_metrics::MetricsError;
 use tcgs_pipeline::{Fault, HasFault, PipelineError};
+use tcgs_prepare::{PrepareError, RawFootage};
 use tcgs_reproduce::ReproduceError;
 use tcgs_train::TrainError;
 
@@ -36,15 +37,22 @@ pub fn stopped(left: String) -> anyhow::Error {
 
 /// The message of an error. It names options where the library names arguments.
 pub fn message(error: &anyhow::Error) -> String {
-    let of_capture = error.downcast_ref::<CaptureError>().or_else(|| match error.downcast_ref::<PipelineError>() {
-        Some(PipelineError::Capture(error)) => Some(error),
+    let of_prepare = error.downcast_ref::<PrepareError>().or_else(|| match error.downcast_ref::<PipelineError>() {
+        Some(PipelineError::Prepare(error)) => Some(error),
         _ => None,
     });
+    let of_capture =
+        error.downcast_ref::<CaptureError>().or_else(|| match (error.downcast_ref::<PipelineError>(), of_prepare) {
+            (Some(PipelineError::Capture(error)), _) | (_, Some(PrepareError::Capture(error))) => Some(error),
+            _ => None,
+        });
+    if let Some(PrepareError::NoDepth { .. }) = of_prepare {
+        return format!("{error:#}; `tcgs prepare --check` looks for the reason");
+    }
     match of_capture {
         Some(CaptureError::NoPoints { .. }) => {
             return format!("{error:#}; `tcgs prepare` makes them, and `tcgs train --points FILE` takes others");
         }
-        Some(CaptureError::NoDepth { .. }) => return format!("{error:#}; `tcgs prepare --check` looks for the reason"),
         Some(CaptureError::NotCapture { path, .. }) if RawFootage::is_in(path).unwrap_or(false) => {
             let (shown, prepare) = (path.display(), next::prepare(path));
             return format!("{shown}: is a folder of videos or images, expected a capture; `{prepare}` makes one");
@@ -69,6 +77,14 @@ pub fn message(error: &anyhow::Error) -> String {
                 if is_harmonics(found) { ", and --drop-sh leaves harmonics of other programs' files out" } else { "" };
             format!("{error}; --format 2 holds it{hint}")
         }
+        Some(PipelineError::Exists { .. }) => format!("{error:#} or --force to replace it"),
+        Some(PipelineError::NoMasks { .. }) => format!("{error:#}; or --masks no"),
+        Some(PipelineError::NoCalibration { path }) => format!(
+            "{}: has no calibration, expected {}; or --calibration FILE; or the program colmap, which finds cameras from \
+             their images (apt install colmap)",
+            path.display(),
+            Calibration::marks()
+        ),
         Some(PipelineError::Frames { path, wanted, has }) => format!(
             "--frames {}..{}: {} has the frames {}..{}, expected some of these",
             wanted.start,
@@ -115,6 +131,7 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
         .or_else(|| fault::<PipelineError>(error))
         .or_else(|| fault::<ReproduceError>(error))
         .or_else(|| fault::<CaptureError>(error))
+        .or_else(|| fault::<PrepareError>(error))
         .or_else(|| fault::<TrainError>(error))
         .or_else(|| fault::<MetricsError>(error))
         .or_else(|| fault::<InterchangeError>(error))
@@ -138,12 +155,13 @@ mod tests {
     #[test]
     fn what_the_command_line_offers_is_added_to_what_a_library_says() {
         let no_points = || CaptureError::NoPoints { path: "x".into() };
-        for error in [anyhow::Error::from(no_points()), PipelineError::Capture(no_points()).into()] {
+        let prepare = PrepareError::from(no_points());
+        for error in [no_points().into(), PipelineError::Capture(no_points()).into(), anyhow::Error::from(prepare)] {
             let message = message(&error);
             assert!(message.starts_with("x: has no initial points") && message.contains("--points FILE"), "{message}");
         }
         let message = |error: anyhow::Error| message(&error);
-        let no_depth = message(CaptureError::NoDepth { path: "x".into() }.into());
+        let no_depth = message(PrepareError::NoDepth { path: "x".into() }.into());
         assert!(no_depth.ends_with("`tcgs prepare --check` looks for the reason"), "{no_depth}");
 
         let missing = |present: &[&str]| {

@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 use tcgs_core::SceneReader;
-use tcgs_pipeline::{Export, TimestepKind};
+use tcgs_pipeline::{Export, NewFolder, TimestepKind};
 
 use crate::error::wrong_input;
 use crate::options::{Frames, JobOptions};
-use crate::output::{NewFolder, check_folder, is_numbered, show_bytes, write_file_with};
+use crate::output::{check_folder, finish, is_numbered, show_bytes, write_file_with};
 use crate::scene::{SceneOptions, describe, note_replaced};
 use crate::teller::Teller;
 use crate::terminal::{note, say};
@@ -134,7 +134,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         Target::Folder(kind, folder) => {
             let bytes = Teller::default().watch(|teller| export.write_folder(kind, frames, folder.path(), teller))?;
-            folder.finish()?;
+            finish(folder, |_| false)?;
             bytes
         }
     };
@@ -166,7 +166,7 @@ fn target(arguments: &Arguments) -> anyhow::Result<Target> {
                 Files::Glb => TimestepKind::Glb,
             };
             let is_ours = |path: &Path| [".ply", ".glb"].iter().any(|ending| is_numbered(path, ending));
-            NewFolder::begin(to, job.force, is_ours).map(|folder| Target::Folder(kind, folder))
+            Ok(Target::Folder(kind, NewFolder::begin(to, job.force, is_ours)?))
         }
         _ => {
             let problem = "not a kind of file that this version writes";

@@ -7,10 +7,9 @@ use std::io;
 use std::ops::ControlFlow;
 use std::process::{Child, Command, ExitStatus};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use anyhow::Context;
-use tcgs_interchange::remove_held;
+use tcgs_interchange::{moving, remove_held};
 
 use crate::terminal::note;
 
@@ -20,8 +19,6 @@ pub const EXIT_CODE: u8 = 130;
 static ASKED: AtomicBool = AtomicBool::new(false);
 /// Whether the command checks for signals between its steps.
 static IS_POLITE: AtomicBool = AtomicBool::new(false);
-/// Locked while finished content is moved to its place.
-static MOVING: Mutex<()> = Mutex::new(());
 
 /// Process id of the child that signals are passed on to; 0 if there is none.
 static STEP: AtomicU32 = AtomicU32::new(0);
@@ -58,10 +55,15 @@ fn end() -> ! {
 
 /// Runs work that calls [`asked`] between its steps: the first signal does not end the process.
 pub fn politely<T>(work: impl FnOnce() -> T) -> T {
-    IS_POLITE.store(true, Ordering::SeqCst);
+    be_polite(true);
     let done = work();
-    IS_POLITE.store(false, Ordering::SeqCst);
+    be_polite(false);
     done
+}
+
+/// Sets whether the command calls [`asked`] between its steps, so that the first signal does not end the process.
+pub fn be_polite(is_polite: bool) {
+    IS_POLITE.store(is_polite, Ordering::SeqCst);
 }
 
 /// Runs a child to its end and passes signals on to it.
@@ -85,16 +87,6 @@ pub fn run(step: &mut Command) -> io::Result<ExitStatus> {
 /// Sets the child that signals are passed on to, until the next call.
 pub fn pass_on_to(child: Option<&Child>) {
     STEP.store(child.map_or(0, Child::id), Ordering::SeqCst);
-}
-
-/// A guard that keeps signals from ending the process, taken while finished content is moved to its place.
-pub fn moving() -> MutexGuard<'static, ()> {
-    MOVING.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Returns an error if a signal has arrived.
-pub fn check() -> anyhow::Result<()> {
-    if asked().is_break() { Err(tcgs_pipeline::PipelineError::Stopped.into()) } else { Ok(()) }
 }
 
 /// Whether to continue: `Break` after a signal.

@@ -32,6 +32,7 @@ use std::process::ExitCode;
 
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
+use tcgs_pipeline::NewFolder;
 
 /// Temporally compressed 3D Gaussian splatting: from synchronized videos to dynamic scenes that are small
 /// enough to stream.
@@ -79,7 +80,7 @@ fn main() -> ExitCode {
             // A child process may have ended by the same signal, and its end is reported as an error here.
             let was_stopped = interrupt::asked().is_break() && error::exit_code(&error) != interrupt::EXIT_CODE;
             let error = if was_stopped { error::stopped(error::message(&error)) } else { error };
-            terminal::note(&format!("tcgs: {}", one_line(&output::by_final_names(error::message(&error)))));
+            terminal::note(&format!("tcgs: {}", one_line(&NewFolder::by_final_names(error::message(&error)))));
             ExitCode::from(error::exit_code(&error))
         }
     }

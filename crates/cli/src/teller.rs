@@ -48,6 +48,13 @@ impl Teller {
         }
     }
 
+    /// Prints lines about the result of a step, whose progress has ended.
+    pub fn lines(&mut self, lines: &[String]) -> ControlFlow<()> {
+        self.progress = None;
+        let told = lines.iter().try_for_each(|line| say(line));
+        self.go_on(told)
+    }
+
     fn step(&mut self, detail: impl FnOnce() -> String) {
         if let Some(progress) = &mut self.progress {
             progress.step(detail);
@@ -106,6 +113,7 @@ impl Observer for Teller {
             Event::Tuned(trial) => return self.go_on(say(&tuning_line(trial))),
             Event::Measured(trial) => return self.go_on(say(&error_line(trial))),
             Event::Frame(frame) => self.step(|| format!("frame {frame}")),
+            Event::Step { num_done, what } => self.advance_to(*num_done, || (*what).into()),
             _ => {}
         }
         interrupt::asked()

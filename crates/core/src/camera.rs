@@ -129,6 +129,13 @@ impl Camera {
         [x, y, z]
     }
 
+    /// The camera with its matrix inverted: `Rᵀ`, `−Rᵀ t`. An inverted matrix is the commonest mistake in a new capture.
+    pub fn inverse(&self) -> Self {
+        let (m, center) = (&self.camera_from_world, self.center());
+        let row = |i: usize| [m[0][i], m[1][i], m[2][i], center[i]];
+        Self { camera_from_world: [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]], ..self.clone() }
+    }
+
     /// Projects a point of the world: its place in the image, and its depth.
     ///
     /// - `point`: `[3]`, world, scene units

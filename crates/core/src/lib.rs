@@ -55,7 +55,7 @@ pub use natural_key::natural_key;
 pub use printable::printable;
 pub use quat::{
     quat_conjugate, quat_mul, quat_mul_vjp, rotmat_from_quat, rotmat_from_quat_vjp, rotmat_from_unit_quat,
-    rotmat_from_unit_quat_vjp,
+    rotmat_from_unit_quat_vjp, rotmat_from_vector,
 };
 pub use reader::SceneReader;
 pub use real::Real;

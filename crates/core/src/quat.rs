@@ -1,6 +1,6 @@
 //! Quaternions (`w, x, y, z`) and their rotation matrices, each beside its vector-Jacobian product.
 
-use crate::{Real, normalize, normalize_vjp};
+use crate::{Real, length, normalize, normalize_vjp};
 
 /// Hamilton product `a ⊗ b`: rotate by `b`, then by `a`.
 ///
@@ -87,6 +87,23 @@ pub fn rotmat_from_quat<R: Real>(quat: [R; 4]) -> [[R; 3]; 3] {
 #[inline(always)]
 pub fn rotmat_from_quat_vjp<R: Real>(quat: [R; 4], v_rotmat: [[R; 3]; 3]) -> [R; 4] {
     normalize_vjp(quat, rotmat_from_unit_quat_vjp(normalize(quat), v_rotmat))
+}
+
+/// Rotation matrix of a rotation vector (Rodrigues).
+///
+/// - `vector`: the axis, as long as the angle in radians
+/// - returns: `[3][3]` row-major
+///
+/// ```
+/// let r = tcgs_core::rotmat_from_vector([0.0, 0.0, std::f64::consts::FRAC_PI_2]); // a quarter turn about z
+/// assert!((r[1][0] - 1.0).abs() < 1e-12);
+/// ```
+pub fn rotmat_from_vector(vector: [f64; 3]) -> [[f64; 3]; 3] {
+    let angle = length(vector);
+    // sin(a / 2) / a, which is 1 / 2 where there is no turn.
+    let share = if angle < 1e-12 { 0.5 } else { (0.5 * angle).sin() / angle };
+    let [x, y, z] = vector.map(|v| share * v);
+    rotmat_from_quat([(0.5 * angle).cos(), x, y, z])
 }
 
 #[cfg(test)]

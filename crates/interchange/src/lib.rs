@@ -51,5 +51,8 @@ pub use ply::{read_ply, write_ply_to};
 pub use ply_points::read_ply_points;
 pub use settings::{HigherHarmonics, ReadLimits, ReadSettings};
 pub use timestep_files::TimestepFiles;
-pub use unfinished::{Existing, Kept, Unfinished, is_unfinished, remove_held, remove_unfinished, write_whole};
+pub use unfinished::{
+    ABANDONED, Existing, Kept, Unfinished, is_unfinished, moving, parent_folder, remove_held, remove_unfinished,
+    write_whole,
+};
 pub use unread::UnreadKind;

@@ -28,8 +28,14 @@ const MARK_TEXT: &str = "tcgs writes here what it renames when it is whole. If n
 /// Tries to remove a folder; each fails only if a file appears meanwhile; a disk without room or rights fails at once.
 const REMOVALS: usize = 100;
 
+/// Age, since its last change, at which a killed process's unfinished output is removed. A day gives a person enough
+/// time to look at it.
+pub const ABANDONED: Duration = Duration::from_secs(24 * 3600);
+
 /// The temporary folders of this process.
 static HELD: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+/// Locked while finished content is moved to its place.
+static MOVING: Mutex<()> = Mutex::new(());
 
 /// Behaviour of [`write_whole`] if the file exists already.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,7 +68,7 @@ pub enum Existing {
 /// # Ok::<(), std::io::Error>(())
 /// ```
 pub fn write_whole(path: &Path, existing: Existing, write: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<()> {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = parent_folder(path);
     let unfinished = Unfinished::begin(folder)?;
     let new = unfinished.path().join("new");
     let mut file = File::create_new(&new)?;
@@ -79,6 +85,11 @@ pub fn write_whole(path: &Path, existing: Existing, write: impl FnOnce(&mut File
         File::open(folder)?.sync_all()?;
     }
     Ok(())
+}
+
+/// The folder that a path lies in.
+pub fn parent_folder(path: &Path) -> &Path {
+    path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// A temporary folder for unfinished content. Its locked mark tells [`remove_unfinished`] that the folder is this
@@ -221,6 +232,12 @@ impl Drop for Kept {
 /// Whether a file name is that of a folder with unfinished content: whether it begins with `.writing-`.
 pub fn is_unfinished(name: &OsStr) -> bool {
     name.to_string_lossy().starts_with(PREFIX)
+}
+
+/// A guard that is held while finished content is moved to its place. A program that a signal ends takes it first, so
+/// that the move is whole.
+pub fn moving() -> MutexGuard<'static, ()> {
+    MOVING.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Removes every [`Unfinished`] of this process. A program that a signal ends calls this, because values are not

@@ -3,10 +3,11 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use tcgs_capture::{CaptureError, Split};
+use tcgs_capture::{Calibration, CaptureError, Split};
 use tcgs_codec::{CompressError, DecodeError};
 use tcgs_interchange::InterchangeError;
 use tcgs_metrics::MetricsError;
+use tcgs_prepare::PrepareError;
 use tcgs_render::device::GpuError;
 use tcgs_train::TrainError;
 
@@ -42,6 +43,29 @@ pub enum PipelineError {
         path: PathBuf,
         /// The system's answer.
         error: io::Error,
+    },
+    /// The place of a new folder is taken.
+    #[error("{}: exists already, expected a new name", path.display())]
+    Exists {
+        /// The place.
+        path: PathBuf,
+    },
+    /// Videos have no calibration, and nothing finds their cameras.
+    #[error(
+        "{}: has no calibration, expected {}, or the program colmap, which finds cameras from their images",
+        path.display(), Calibration::marks()
+    )]
+    NoCalibration {
+        /// The folder of the videos.
+        path: PathBuf,
+    },
+    /// Masks that were asked for are impossible.
+    #[error("{name}: {problem}")]
+    NoMasks {
+        /// Name of the capture.
+        name: String,
+        /// The reason.
+        problem: String,
     },
     /// A `.tcgs` file cannot be decoded.
     #[error("{}: {error}, expected a whole .tcgs file", path.display())]
@@ -104,6 +128,9 @@ pub enum PipelineError {
     /// A capture.
     #[error(transparent)]
     Capture(#[from] CaptureError),
+    /// Making or checking a capture. [`PrepareError::Capture`] becomes [`PipelineError::Capture`].
+    #[error(transparent)]
+    Prepare(PrepareError),
     /// Training, or a run folder. [`TrainError::Stopped`] becomes [`PipelineError::Stopped`].
     #[error(transparent)]
     Train(TrainError),
@@ -160,6 +187,12 @@ impl From<TrainError> for PipelineError {
     }
 }
 
+impl From<PrepareError> for PipelineError {
+    fn from(error: PrepareError) -> Self {
+        if let PrepareError::Capture(error) = error { Self::Capture(error) } else { Self::Prepare(error) }
+    }
+}
+
 /// The party at fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -191,6 +224,9 @@ impl HasFault for PipelineError {
             Self::Input { .. }
             | Self::Frames { .. }
             | Self::NoCameras { .. }
+            | Self::Exists { .. }
+            | Self::NoCalibration { .. }
+            | Self::NoMasks { .. }
             | Self::TargetBytes { .. }
             | Self::TargetPsnr { .. }
             | Self::MaxError { .. }
@@ -201,6 +237,7 @@ impl HasFault for PipelineError {
             Self::Decode { error, .. } => error.fault(),
             Self::Compress(error) => error.fault(),
             Self::Capture(error) => error.fault(),
+            Self::Prepare(error) => error.fault(),
             Self::Train(error) => error.fault(),
             Self::Interchange(error) => error.fault(),
             Self::Metrics(error) => error.fault(),
@@ -231,6 +268,16 @@ impl HasFault for CaptureError {
         match self {
             Self::Io { error, .. } => error.fault(),
             Self::Points(error) => error.fault(),
+            _ => Fault::Input,
+        }
+    }
+}
+
+impl HasFault for PrepareError {
+    fn fault(&self) -> Fault {
+        match self {
+            Self::Capture(error) => error.fault(),
+            Self::Io { error, .. } => error.fault(),
             _ => Fault::Input,
         }
     }

@@ -1,7 +1,8 @@
-//! From a capture to a compressed scene and its quality: what the command line does, for programs.
+//! From footage to a compressed scene and its quality: what the command line does, for programs.
 //!
 //! What lives here: opening a scene of any kind ([`OpenScene`]), and the steps that need several crates at once:
 //!
+//! - making a capture of videos ([`prepare`])
 //! - training a run with prefetched images ([`fit`])
 //! - looking at a run during its training ([`LiveRun`])
 //! - showing a capture before training ([`points_scene`])
@@ -63,8 +64,10 @@ mod evaluate;
 mod export;
 mod held_out;
 mod live;
+mod new_folder;
 mod observe;
 mod path_file;
+mod prepare;
 mod preview;
 mod render;
 mod scene;
@@ -86,8 +89,12 @@ pub use evaluate::{
 pub use export::{Export, ExportedParams, TimestepKind};
 pub use held_out::capture_for;
 pub use live::{LiveFile, LiveRun};
-pub use observe::{ErrorTrial, Event, Observer, TimestepSummary, Trial, TuningTrial, Unobserved, Work};
+pub use new_folder::NewFolder;
+pub use observe::{ErrorTrial, Event, Observer, PrepareStep, TimestepSummary, Trial, TuningTrial, Unobserved, Work};
 pub use path_file::read_camera_path;
+pub use prepare::{
+    CHECK_PAGE, FootageOptions, PrepareOptions, PreparedCapture, WantMasks, examine, make_points, open_source, prepare,
+};
 pub use preview::points_scene;
 pub use render::{CameraAt, render};
 pub use scene::{CutFiles, OpenScene, OpenSettings};

@@ -12,7 +12,8 @@ use tcgs_codec::DecodeError;
 use tcgs_core::printable;
 use tcgs_interchange::InterchangeError;
 use tcgs_metrics::MetricsError;
-use tcgs_pipeline::{Fault, HasFault, PipelineError};
+use tcgs_pipeline::{Fault, HasFault, NewFolder, PipelineError};
+use tcgs_prepare::PrepareError;
 use tcgs_render::device::GpuError;
 use tcgs_train::TrainError;
 
@@ -25,11 +26,21 @@ pub fn exception(error: impl Into<PipelineError>) -> PyErr {
     } else {
         ""
     };
-    let message = format!("{}{lifted}", printable(&error.to_string()));
+    let message = format!("{}{lifted}", printable(&NewFolder::by_final_names(error.to_string())));
     if let PipelineError::Gpu(GpuError::Memory { .. })
     | PipelineError::Train(TrainError::Gpu(GpuError::Memory { .. })) = error
     {
         return PyMemoryError::new_err(message);
+    }
+    match &error {
+        PipelineError::Exists { .. } => {
+            return PyFileExistsError::new_err(format!("{message} or overwrite=True to replace it"));
+        }
+        PipelineError::NoMasks { .. } => return PyValueError::new_err(format!("{message}; or masks=False")),
+        PipelineError::NoCalibration { .. } => {
+            return PyValueError::new_err(format!("{message}; or calibration=FILE"));
+        }
+        _ => {}
     }
     match (cause(&error), error.fault()) {
         (Some(cause), _) if !matches!(cause.kind(), ErrorKind::InvalidData | ErrorKind::UnexpectedEof) => {
@@ -59,6 +70,7 @@ fn cause(error: &PipelineError) -> Option<&io::Error> {
         PipelineError::Unreadable { error, .. }
         | PipelineError::Unwritable { error, .. }
         | PipelineError::Capture(CaptureError::Io { error, .. })
+        | PipelineError::Prepare(PrepareError::Io { error, .. })
         | PipelineError::Train(TrainError::Read { error, .. } | TrainError::Write { error, .. })
         | PipelineError::Interchange(InterchangeError::Read { error, .. } | InterchangeError::Write { error, .. })
         | PipelineError::Metrics(MetricsError::Io { error, .. })

@@ -16,6 +16,7 @@ mod floats;
 mod gaussians;
 mod memory;
 mod numbers;
+mod prepare;
 mod rasterize;
 mod save;
 mod scene;
@@ -41,6 +42,8 @@ mod module {
     use crate::evaluate::{evaluate, render};
     #[pymodule_export]
     use crate::gaussians::PyGaussians;
+    #[pymodule_export]
+    use crate::prepare::prepare;
     #[pymodule_export]
     use crate::rasterize::{PyRasterizeGrads, PyRasterized, rasterize};
     #[pymodule_export]

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use pyo3::PyResult;
 use pyo3::exceptions::PyFileExistsError;
-use tcgs_interchange::{Existing, Unfinished, write_whole};
+use tcgs_interchange::{Existing, Unfinished, parent_folder, write_whole};
 use tcgs_pipeline::{
     CompressOptions, CompressPreset, Export, OpenScene, PipelineError, TimestepKind, capture_kind_of, compress_scene,
     settings_of,
@@ -76,7 +76,7 @@ pub fn write_folder(path: &Path, fill: impl FnOnce(&Path) -> Result<(), Pipeline
     if path.exists() {
         return Err(unwritable(io::ErrorKind::AlreadyExists.into()));
     }
-    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let parent = parent_folder(path);
     let unfinished = Unfinished::begin(parent).map_err(unwritable)?;
     let new = unfinished.path().join("new");
     fs::create_dir(&new).map_err(unwritable)?;
@@ -93,7 +93,7 @@ pub fn check_out(out: &Path, overwrite: bool) -> PyResult<()> {
         let message = format!("{}: exists already, expected a new name or overwrite=True", out.display());
         return Err(PyFileExistsError::new_err(message));
     }
-    let parent = out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let parent = parent_folder(out);
     if !parent.is_dir() {
         let error = io::ErrorKind::NotFound.into();
         return Err(exception(PipelineError::Unwritable { path: out.into(), error }));

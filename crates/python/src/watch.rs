@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
 use pyo3::prelude::*;
-use tcgs_pipeline::{Event, Observer, PipelineError};
+use tcgs_pipeline::{Event, Observer, PipelineError, PrepareStep};
 
 use crate::detached::refuse_fork;
 use crate::errors::exception;
@@ -149,6 +149,18 @@ impl Observer for Watch {
             Event::Tried(trial) => (told.bytes, told.psnr) = (Some(trial.bytes), trial.psnr),
             Event::Tuned(trial) => (told.bytes, told.psnr) = (Some(trial.bytes), Some(trial.psnr)),
             Event::Measured(trial) => told.bytes = Some(trial.bytes),
+            Event::Step { num_done, .. } => (self.done, is_step) = (*num_done, true),
+            Event::Prepared(PrepareStep::NoMasks { name, problem }) => {
+                told.message = Some(format!("masks: none are made; {name}: {problem}"));
+            }
+            Event::Prepared(PrepareStep::PointsStrewn { why, .. }) => {
+                told.message = Some(format!(
+                    "warning: points are strewn where the cameras agree in colour: {why}; views between the cameras will be \
+                     poor"
+                ));
+            }
+            Event::Prepared(PrepareStep::LeftOver(warning)) => told.message = Some((*warning).into()),
+            Event::Prepared(_) => return ControlFlow::Continue(()),
             Event::Frame(frame) => {
                 self.done += 1;
                 (told.frame, is_step) = (Some(*frame), self.done < self.total);

@@ -44,6 +44,31 @@ def test_training_and_compressing_give_the_bytes_of_the_command_line(capture: Pa
     assert files(tmp_path / "python") == files(by_command)
 
 
+def test_preparing_gives_the_bytes_of_the_command_line(capture: Path, tmp_path: Path) -> None:
+    by_command, out = tmp_path / "command", tmp_path / "python"
+    command("prepare", capture, "--out", by_command, "--points", "2000", "--width", "64")
+    told: list[tcgs.Progress] = []
+    prepared = tcgs.prepare(capture, out, points=2000, width=64, callback=told.append)
+    assert len(prepared) == 3 and prepared.path == out
+    assert (out / "init_pt_cld.npz").read_bytes() == (by_command / "init_pt_cld.npz").read_bytes()
+    assert [p.work for p in told if p.done == 0] == ["preparing", "checking"]
+
+
+def test_what_cannot_be_prepared_is_named(capture: Path, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ValueError, match="no videos here"):
+        tcgs.prepare(tmp_path / "empty", tmp_path / "out", progress=False)
+    with pytest.raises(ValueError, match="start: is -1.0, expected seconds, 0 or more"):
+        tcgs.prepare(capture, tmp_path / "out", start=-1, progress=False)
+    assert not (tmp_path / "out").exists()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "diary.txt").write_text("x")
+    with pytest.raises(FileExistsError, match="overwrite=True"):
+        tcgs.prepare(capture, tmp_path / "out", progress=False)
+    with pytest.raises(ValueError, match="was not made by prepare"):
+        tcgs.prepare(capture, tmp_path / "out", overwrite=True, progress=False)
+
+
 def test_progress_is_told_in_order(capture: Path, tmp_path: Path) -> None:
     told: list[tcgs.Progress] = []
     scene = tcgs.train(capture, tmp_path / "run", **TRAIN, callback=told.append)

@@ -11,7 +11,8 @@
 //! | [`core`] | Gaussians, cameras, images, activations with their gradients | |
 //! | [`codec`] | `.tcgs` files: decodes them; with `pipeline` compresses and writes them | |
 //! | [`pipeline`] | the whole way, as the command line goes it: open any scene, train, compress, evaluate, render, export | `pipeline` |
-//! | [`capture`] | multi-view captures: loads, checks, calibrates and synthesises them | `pipeline` |
+//! | [`capture`] | multi-view captures: reads their cameras, images and videos | `pipeline` |
+//! | [`prepare`] | makes captures of videos: cameras, clocks, masks, initial points; checks them | `pipeline` |
 //! | [`render`] | a differentiable rasterizer, on CPUs and GPUs | `pipeline` |
 //! | [`train`] | the optimisation, one timestep after another | `pipeline` |
 //! | [`metrics`] | PSNR, SSIM, MS-SSIM, LPIPS, flicker, and the protocols of publications | `pipeline` |
@@ -79,7 +80,7 @@ pub use tcgs_core as core;
 #[cfg(feature = "pipeline")]
 pub use {
     tcgs_capture as capture, tcgs_interchange as interchange, tcgs_metrics as metrics, tcgs_pipeline as pipeline,
-    tcgs_render as render, tcgs_train as train,
+    tcgs_prepare as prepare, tcgs_render as render, tcgs_train as train,
 };
 
 #[cfg(feature = "play")]

@@ -18,9 +18,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::Deserialize;
-use tcgs_core::natural_key;
+use tcgs_core::{natural_key, rotmat_from_vector};
 
-use super::numbers::{OpenCvCamera, rotmat_from_vector, side};
+use super::numbers::{OpenCvCamera, side};
 use super::{CalibratedCamera, Format, files_named};
 use crate::{CaptureError, files};
 

@@ -18,7 +18,6 @@ mod qualisys;
 use std::path::{Path, PathBuf};
 
 use crate::{CaptureError, files};
-pub(crate) use numbers::rotmat_from_vector;
 
 /// The cameras of one calibration.
 #[derive(Clone, Debug)]

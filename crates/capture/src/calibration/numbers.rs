@@ -1,6 +1,6 @@
 //! From the matrices and vectors of a calibration to a camera, with the checks that all formats need.
 
-use tcgs_core::{MAX_COORDINATE, MAX_INTRINSIC, cross, dot, length, rotmat_from_quat};
+use tcgs_core::{MAX_COORDINATE, MAX_INTRINSIC, cross, dot};
 
 use super::CalibratedCamera;
 
@@ -88,15 +88,6 @@ pub(super) fn rigid(rotation: [[f64; 3]; 3], translation: [f64; 3]) -> Result<[[
         return Err("its rotation has the determinant -1, expected 1: the axes are left-handed".into());
     }
     Ok(std::array::from_fn(|i| [rotation[i][0], rotation[i][1], rotation[i][2], translation[i]]))
-}
-
-/// Rotation matrix of a rotation vector: the axis, as long as the angle in radians (Rodrigues).
-pub(crate) fn rotmat_from_vector(vector: [f64; 3]) -> [[f64; 3]; 3] {
-    let angle = length(vector);
-    // sin(a / 2) / a, which is 1 / 2 where there is no turn.
-    let share = if angle < 1e-12 { 0.5 } else { (0.5 * angle).sin() / angle };
-    let [x, y, z] = vector.map(|v| share * v);
-    rotmat_from_quat([(0.5 * angle).cos(), x, y, z])
 }
 
 /// The inverse transform.

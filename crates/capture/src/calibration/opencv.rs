@@ -16,10 +16,11 @@
 
 use std::path::{Path, PathBuf};
 
+use tcgs_core::rotmat_from_vector;
 use yaml_rust2::parser::Parser;
 use yaml_rust2::{Event, Yaml, YamlLoader};
 
-use super::numbers::{OpenCvCamera, rotmat_from_vector, side};
+use super::numbers::{OpenCvCamera, side};
 use super::{CalibratedCamera, Format};
 use crate::{CaptureError, files};
 

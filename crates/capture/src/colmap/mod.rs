@@ -9,7 +9,7 @@ mod points;
 
 use std::path::{Path, PathBuf};
 
-pub(crate) use model::{ColmapModel, PosedImage};
+pub use model::{ColmapModel, PosedImage};
 pub(crate) use points::{points_file, points_in, read_points};
 
 /// Where a model may be, in a capture's folder.

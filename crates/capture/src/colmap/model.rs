@@ -10,21 +10,27 @@ use super::bytes::{Bytes, lines, number, numbers};
 use crate::lens::{Crop, Lens, MAX_SIDE};
 use crate::{CaptureError, files};
 
-/// Cameras and images.
-pub(crate) struct ColmapModel {
+/// Cameras and images of a COLMAP model.
+pub struct ColmapModel {
+    /// The file that the cameras were read from.
     pub cameras_file: PathBuf,
+    /// The file that the images were read from.
     pub images_file: PathBuf,
+    /// Lenses by the ids of cameras.
     pub cameras: BTreeMap<u32, Arc<Lens>>,
+    /// In the order of the file.
     pub images: Vec<PosedImage>,
 }
 
 /// One image and its pose.
-pub(crate) struct PosedImage {
+pub struct PosedImage {
+    /// The path of the file, relative to the folder of all images.
     pub name: String,
+    /// The id of its lens.
     pub camera_id: u32,
-    /// `camera_from_world`
+    /// Rotation of `camera_from_world`: `w, x, y, z`.
     pub quat: [f64; 4],
-    /// `camera_from_world`
+    /// Translation of `camera_from_world`, scene units.
     pub translation: [f64; 3],
 }
 
@@ -101,6 +107,10 @@ impl CameraModel {
 }
 
 impl ColmapModel {
+    /// Reads the binary files of a folder, else the text files. Crops of lenses are found.
+    ///
+    /// # Errors
+    /// [`CaptureError`] if a file is missing or damaged, or holds what no pinhole camera has.
     pub fn read(folder: &Path) -> Result<Self, CaptureError> {
         let (cameras_file, cameras) = read(folder, "cameras", binary_cameras, text_cameras)?;
         let (images_file, images) = read(folder, "images", binary_images, text_images)?;

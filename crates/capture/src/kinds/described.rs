@@ -71,40 +71,47 @@ fn open(path: &Path) -> Result<Contents, CaptureError> {
     })
 }
 
-/// The recording of a camera, on the clock of its description.
-///
-/// - `folder`: the folder that the camera's file is relative to
-pub(crate) fn take(
-    folder: &Path,
-    description: &CaptureDescription,
-    camera: &DescribedCamera,
-) -> Result<Take, CaptureError> {
-    let invalid = |problem: String| invalid(folder, camera, problem);
-    let inner = InnerPath::new(&camera.file, "the capture").map_err(|problem| invalid(format!("file {problem}")))?;
-    let recording = Recording::open(&inner.below(folder), camera.images_per_sec.unwrap_or(description.frame_rate))?;
-    check_times(&recording, description, camera)?;
+impl Take {
+    /// The recording of a camera, on the clock of its description.
+    ///
+    /// - `folder`: the folder that the camera's file is relative to
+    ///
+    /// # Errors
+    /// [`CaptureError`] if the recording cannot be read, or does not fit the description.
+    pub fn open(
+        folder: &Path,
+        description: &CaptureDescription,
+        camera: &DescribedCamera,
+    ) -> Result<Self, CaptureError> {
+        let invalid = |problem: String| invalid(folder, camera, problem);
+        let inner =
+            InnerPath::new(&camera.file, "the capture").map_err(|problem| invalid(format!("file {problem}")))?;
+        let recording = Recording::open(&inner.below(folder), camera.images_per_sec.unwrap_or(description.frame_rate))?;
+        check_times(&recording, description, camera)?;
 
-    let quarter_turns = (camera.turn_degrees / 90) as u8;
-    let whole = turned(recording.size, quarter_turns);
-    let active =
-        camera.crop.map_or(Active::whole(whole), |[left, top, width, height]| Active { left, top, width, height });
-    if !active.is_within(whole) {
-        return Err(invalid(format!("crop {:?} exceeds the image of {}x{} pixels", camera.crop, whole.0, whole.1)));
+        let quarter_turns = (camera.turn_degrees / 90) as u8;
+        let whole = turned(recording.size, quarter_turns);
+        let active =
+            camera.crop.map_or(Active::whole(whole), |[left, top, width, height]| Active { left, top, width, height });
+        if !active.is_within(whole) {
+            return Err(invalid(format!("crop {:?} exceeds the image of {}x{} pixels", camera.crop, whole.0, whole.1)));
+        }
+        let [width, height] = camera.size;
+        if (active.width, active.height) != (width, height) || width.max(height) > MAX_SIDE {
+            let (found, cropped) =
+                ((active.width, active.height), if camera.crop.is_some() { ", cropped" } else { "" });
+            return Err(invalid(format!(
+                "size is {width}x{height} pixels, but {} has {}x{}{cropped}, expected the same",
+                camera.file, found.0, found.1
+            )));
+        }
+        let colors = match description.colors.as_ref().is_none_or(|colors| colors.used) {
+            true => ColorChange { gains: camera.gains, offsets: camera.offsets },
+            false => ColorChange::NONE,
+        };
+        let (start_secs, fps) = (camera.start_secs, description.frame_rate);
+        Ok(Self { recording: Arc::new(recording), quarter_turns, active, colors, start_secs, fps })
     }
-    let [width, height] = camera.size;
-    if (active.width, active.height) != (width, height) || width.max(height) > MAX_SIDE {
-        let (found, cropped) = ((active.width, active.height), if camera.crop.is_some() { ", cropped" } else { "" });
-        return Err(invalid(format!(
-            "size is {width}x{height} pixels, but {} has {}x{}{cropped}, expected the same",
-            camera.file, found.0, found.1
-        )));
-    }
-    let colors = match description.colors.as_ref().is_none_or(|colors| colors.used) {
-        true => ColorChange { gains: camera.gains, offsets: camera.offsets },
-        false => ColorChange::NONE,
-    };
-    let (start_secs, fps) = (camera.start_secs, description.frame_rate);
-    Ok(Take { recording: Arc::new(recording), quarter_turns, active, colors, start_secs, fps })
 }
 
 fn invalid(folder: &Path, camera: &DescribedCamera, problem: String) -> CaptureError {
@@ -123,7 +130,7 @@ fn masks_beside(folder: &Path, description: &CaptureDescription, footage: &Foota
 
 fn footage(folder: &Path, description: &CaptureDescription, camera: &DescribedCamera) -> Result<Footage, CaptureError> {
     let invalid = |problem: String| invalid(folder, camera, problem);
-    let take = take(folder, description, camera)?;
+    let take = Take::open(folder, description, camera)?;
     let [width, height] = camera.size;
     let k: [f64; 8] = std::array::from_fn(|i| camera.distortion.get(i).copied().unwrap_or(0.0));
     let mut lens = Lens {

@@ -15,7 +15,6 @@ mod test_cameras;
 use std::path::Path;
 
 pub use described::MASKS_FOLDER;
-pub(crate) use described::take;
 pub(crate) use nerfstudio::{
     Frame as NerfstudioFrame, Intrinsics as NerfstudioIntrinsics, Transforms as NerfstudioTransforms,
     camera_from_world as camera_from_nerfstudio, read as read_transforms,
@@ -45,6 +44,19 @@ impl CaptureKind {
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| kind.name == name)
     }
+
+    /// The first kind of [`Self::ALL`] that recognises a folder by its files; `None` if none does.
+    ///
+    /// # Errors
+    /// [`CaptureError`] if a file that tells kinds apart cannot be read.
+    pub fn of(path: &Path) -> Result<Option<Self>, CaptureError> {
+        for kind in Self::ALL {
+            if (kind.recognises)(path)? {
+                return Ok(Some(kind));
+            }
+        }
+        Ok(None)
+    }
 }
 
 /// Recognises a folder's kind and reads its contents.
@@ -59,10 +71,6 @@ pub(crate) fn open(path: &Path) -> Result<(CaptureKind, Contents), CaptureError>
     }
     // This names a folder that cannot be listed.
     files::list(path)?;
-    for kind in CaptureKind::ALL {
-        if (kind.recognises)(path)? {
-            return Ok((kind, (kind.open)(path)?));
-        }
-    }
-    Err(not_capture("has no cameras"))
+    let kind = CaptureKind::of(path)?.ok_or_else(|| not_capture("has no cameras"))?;
+    Ok((kind, (kind.open)(path)?))
 }

@@ -18,22 +18,26 @@ use crate::video::Video;
 use crate::{CaptureError, decode, files};
 
 pub use child::end_programs;
-pub(crate) use program::{ProgramVideo, audio};
-pub(crate) use take::{Active, ColorChange, Take, turned};
-pub(crate) use times::Times;
+pub use program::audio;
+pub use take::{Active, ColorChange, Take, turned};
+pub use times::Times;
+
+use program::ProgramVideo;
 
 /// Endings of videos in the search of a folder. A file that the user names may have any ending.
-pub(crate) const VIDEO_ENDINGS: [&str; 10] = ["mp4", "mov", "m4v", "mkv", "webm", "avi", "mpg", "mpeg", "mts", "ts"];
+pub const VIDEO_ENDINGS: [&str; 10] = ["mp4", "mov", "m4v", "mkv", "webm", "avi", "mpg", "mpeg", "mts", "ts"];
 
 /// A video, or a folder of images.
 #[derive(Debug)]
-pub(crate) struct Recording {
+pub struct Recording {
+    /// The file, or the folder of images.
     pub path: PathBuf,
     pixels: Source,
     /// Width and height as stored, before any turn.
     pub size: (usize, usize),
     /// Clockwise quarter turns for players, as the file says.
     pub quarter_turns: u8,
+    /// Presentation times of the frames.
     pub times: Times,
     /// Frames that are stored before the first of `times`.
     first_frame: usize,
@@ -57,6 +61,9 @@ impl Recording {
     /// - `path`: a file of any format that `ffmpeg` reads, or a folder of images, one a frame, in the natural order of
     ///   their names
     /// - `images_fps`: frames per second of a folder of images, which has none of its own
+    ///
+    /// # Errors
+    /// [`CaptureError`] if there is no such recording, or neither the built-in decoder nor `ffmpeg` reads it.
     pub fn open(path: &Path, images_fps: f64) -> Result<Self, CaptureError> {
         if path.is_dir() {
             return Self::of_images(path, images_fps);
@@ -115,7 +122,7 @@ impl Recording {
         times: Times,
         first_frame: usize,
     ) -> Result<Self, CaptureError> {
-        if times.len() == 0 {
+        if times.num_frames() == 0 {
             return Err(CaptureError::invalid(path, "has no frames, expected at least one"));
         }
         Ok(Self { path: path.into(), pixels, size, quarter_turns, times, first_frame })
@@ -135,11 +142,15 @@ impl Recording {
         matches!(self.pixels, Source::Images(_))
     }
 
+    /// Number of frames, at least 1.
     pub fn num_frames(&self) -> usize {
-        self.times.len()
+        self.times.num_frames()
     }
 
     /// Decodes a frame as stored. In sequential order each frame is decoded once.
+    ///
+    /// # Errors
+    /// [`CaptureError`] if the frame cannot be decoded.
     ///
     /// # Panics
     /// If there is no such frame.

@@ -27,7 +27,7 @@ const MAX_SKIPPED: usize = 250;
 
 /// A video that `ffmpeg` decodes.
 #[derive(Debug)]
-pub(crate) struct ProgramVideo {
+pub(super) struct ProgramVideo {
     path: PathBuf,
     /// As stored, pixels.
     pub size: (usize, usize),
@@ -175,7 +175,7 @@ impl ProgramVideo {
         let mut pixels = vec![0; 3 * width * height];
         while running.next_frame <= frame {
             if let Err(error) = running.frames.read_exact(&mut pixels) {
-                let (found, expected) = (running.next_frame, times.len());
+                let (found, expected) = (running.next_frame, times.num_frames());
                 let problem = format!("ends early: {found} of {expected} frames could be decoded ({error})");
                 return Err(CaptureError::invalid(&self.path, problem));
             }
@@ -226,7 +226,7 @@ impl State {
 /// - `rate`: samples per second
 /// - `max_secs`: maximum decoded length
 /// - returns: samples in `[-1, 1]`; `None` if there is no sound, or no `ffmpeg`
-pub(crate) fn audio(path: &Path, rate: u32, max_secs: f64) -> Option<Vec<f32>> {
+pub fn audio(path: &Path, rate: u32, max_secs: f64) -> Option<Vec<f32>> {
     let mut command = Command::new("ffmpeg");
     command
         .args(["-v", "error", "-nostdin", "-i"])

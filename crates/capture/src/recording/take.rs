@@ -9,12 +9,14 @@ use crate::CaptureError;
 
 /// A recording on the clock of its capture.
 #[derive(Clone, Debug)]
-pub(crate) struct Take {
+pub struct Take {
+    /// The recording.
     pub recording: Arc<Recording>,
     /// Clockwise, applied to the stored image.
     pub quarter_turns: u8,
     /// The used part of the turned image.
     pub active: Active,
+    /// Change of the colours.
     pub colors: ColorChange,
     /// The time in the recording at which the capture begins.
     pub start_secs: f64,
@@ -24,7 +26,7 @@ pub(crate) struct Take {
 
 /// Change of a camera's colours to those of the others: `gain * value + offset`, channel by channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct ColorChange {
+pub struct ColorChange {
     /// Factors of red, green and blue, above 0.
     pub gains: [f32; 3],
     /// Added to red, green and blue, of values in `[0, 1]`.
@@ -54,10 +56,14 @@ impl ColorChange {
 
 /// A rectangle in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Active {
+pub struct Active {
+    /// First column.
     pub left: usize,
+    /// First row.
     pub top: usize,
+    /// Number of columns.
     pub width: usize,
+    /// Number of rows.
     pub height: usize,
 }
 
@@ -76,8 +82,8 @@ impl Active {
     }
 }
 
-/// A size after quarter turns.
-pub(crate) fn turned((width, height): (usize, usize), quarter_turns: u8) -> (usize, usize) {
+/// Width and height after quarter turns.
+pub fn turned((width, height): (usize, usize), quarter_turns: u8) -> (usize, usize) {
     if quarter_turns % 2 == 1 { (height, width) } else { (width, height) }
 }
 
@@ -88,6 +94,9 @@ impl Take {
     }
 
     /// Decodes a frame of the capture.
+    ///
+    /// # Errors
+    /// [`CaptureError`] if the frame cannot be decoded.
     pub fn image(&self, frame: usize) -> Result<RgbImage, CaptureError> {
         let stored = self.recording.frame(self.stored_frame(frame))?;
         let mut image = match self.quarter_turns {

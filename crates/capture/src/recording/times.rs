@@ -4,30 +4,41 @@ use tcgs_core::upper_median;
 
 /// Presentation times of the frames of one recording, ascending, seconds.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Times {
+pub enum Times {
     /// Frames at a constant rate from 0 on.
-    AtRate { num_frames: usize, fps: f64 },
+    AtRate {
+        /// Number of frames.
+        num_frames: usize,
+        /// Frames per second.
+        fps: f64,
+    },
     /// Listed one by one.
     Listed(Vec<f64>),
 }
 
 impl Times {
+    /// Frames at a constant rate from 0 on.
     pub fn at_rate(num_frames: usize, fps: f64) -> Self {
         Self::AtRate { num_frames, fps }
     }
 
+    /// Times one by one.
+    ///
     /// - `secs`: ascending
     pub fn listed(secs: Vec<f64>) -> Self {
         Self::Listed(secs)
     }
 
-    pub fn len(&self) -> usize {
+    /// Number of frames.
+    pub fn num_frames(&self) -> usize {
         match self {
             Self::AtRate { num_frames, .. } => *num_frames,
             Self::Listed(secs) => secs.len(),
         }
     }
 
+    /// The time of a frame.
+    ///
     /// # Panics
     /// If there is no such frame.
     pub fn secs(&self, frame: usize) -> f64 {
@@ -37,12 +48,14 @@ impl Times {
         }
     }
 
+    /// The time of the first frame.
     pub fn first_secs(&self) -> f64 {
         self.secs(0)
     }
 
+    /// The time of the last frame.
     pub fn last_secs(&self) -> f64 {
-        self.secs(self.len() - 1)
+        self.secs(self.num_frames() - 1)
     }
 
     /// The usual number of frames per second: 1 over the median of the gaps. `None` for a single frame.
@@ -71,7 +84,7 @@ impl Times {
 
     /// The frame nearest to a moment; of two equally near frames the earlier one.
     pub fn nearest(&self, secs: f64) -> usize {
-        let last = self.len() - 1;
+        let last = self.num_frames() - 1;
         match self {
             Self::AtRate { fps, .. } => ((secs * fps - 0.5).ceil().max(0.0) as usize).min(last),
             Self::Listed(all) => {

@@ -260,9 +260,10 @@ fn failed(path: &Path, error: impl std::fmt::Display) -> CaptureError {
     CaptureError::invalid(path, format!("writing failed: {error}"))
 }
 
-/// Distance of a point from the nearest moving or static surface at the first timestep.
-#[cfg(test)]
-pub(crate) fn distance_from_surface(point: [f32; 3], moving: bool) -> f64 {
+/// Distance of a point from the nearest surface of the synthetic scene at the first timestep, metres.
+///
+/// - `moving`: whether the surfaces of moving bodies are meant, or those of static ones
+pub fn distance_from_surface(point: [f32; 3], moving: bool) -> f64 {
     SyntheticScene::at(0).distance(point.map(f64::from), moving)
 }
 

@@ -196,7 +196,6 @@ impl Body {
     }
 }
 
-#[cfg(test)]
 impl SyntheticScene {
     /// Distance of a point from the nearest moving or static surface; approximate for ellipsoids.
     pub fn distance(&self, point: [f64; 3], moving: bool) -> f64 {
@@ -206,7 +205,6 @@ impl SyntheticScene {
     }
 }
 
-#[cfg(test)]
 impl Body {
     fn distance(&self, point: [f64; 3]) -> f64 {
         let unit = self.unit_from_world(sub(point, self.center));

@@ -5,10 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::support::{HEIGHT, NUM_FRAMES, Small, WIDTH, camera};
-use tcgs_capture::{
-    CameraBuilder, Capture, CaptureBuilder, CaptureError, CaptureFacts, CaptureKind, PrepareSettings, Split,
-    SyntheticSettings, prepare, write_synthetic,
-};
+use tcgs_capture::{CameraBuilder, Capture, CaptureBuilder, CaptureFacts, CaptureKind, Split};
 use tcgs_core::{Image, PointCloud, Segmentation, View};
 
 const SIZE: (usize, usize) = (WIDTH as usize, HEIGHT as usize);
@@ -99,24 +96,6 @@ fn images_are_made_when_they_are_asked_for_and_no_sooner() {
         error.to_string(),
         "camera 7, frame 0: the image is 8x6 pixels of 1 channels, expected 16x12 of 3 as its camera has"
     );
-}
-
-#[test]
-fn a_capture_made_in_memory_is_prepared() {
-    let folder = tempfile::tempdir().unwrap();
-    let settings =
-        SyntheticSettings { num_timesteps: 1, num_train_cameras: 6, num_test_cameras: 1, ..Default::default() };
-    write_synthetic(folder.path(), &settings).unwrap();
-    let stored = Capture::open(folder.path()).unwrap();
-    let mut built = CaptureBuilder::new("room", 1);
-    for View { camera, image, camera_id, .. } in stored.views(Split::Train, 0, 1).unwrap() {
-        built = built.train_camera(CameraBuilder::new(camera_id, camera).images(vec![image]));
-    }
-    let built = built.build().unwrap();
-    assert!(matches!(built.point_cloud(), Err(CaptureError::NoPoints { .. })));
-    let settings = PrepareSettings { num_points: 2000, image_width: 64, ..PrepareSettings::default() };
-    let prepared = prepare(&built, &settings, &mut |_| ()).unwrap();
-    assert!(prepared.cloud.points.len() > 1000, "{}", prepared.cloud.points.len());
 }
 
 #[test]

@@ -9,11 +9,7 @@ mod nerfstudio;
 #[cfg(feature = "video")]
 mod neural3d;
 mod panoptic;
-mod prepare;
 mod real;
-// The folders of this module are made of symbolic links.
-#[cfg(all(feature = "video", unix))]
-mod real_raw;
 #[cfg(feature = "video")]
 mod recordings;
 mod spoilt;

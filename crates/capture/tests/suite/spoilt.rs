@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
-use tcgs_capture::{Calibration, Capture, CaptureDescription, CaptureError, Clocks};
+use tcgs_capture::{Calibration, Capture, CaptureDescription, CaptureError};
 use tempfile::tempdir;
 
 /// The seeds of the fuzz target `calibrations`, with the names of their files.
@@ -40,9 +40,8 @@ fn read(folder: &Path, names: [&str; 2], files: &[Vec<u8>; 2]) -> bool {
     }
     let path = folder.join(names[0]);
     let begin = Instant::now();
-    let results: [Result<(), CaptureError>; 4] = [
+    let results: [Result<(), CaptureError>; 3] = [
         CaptureDescription::read(&path).map(drop),
-        Clocks::read(&path, &["a".into(), "b".into()]).map(drop),
         Calibration::read(&path).map(drop),
         Capture::open(folder).map(drop),
     ];

@@ -9,11 +9,11 @@ use anyhow::Context;
 use serde_json::json;
 use tcgs_core::{Image, activate};
 use tcgs_interchange::{NpzWriter, write_ply_to};
-use tcgs_pipeline::Backend;
+use tcgs_pipeline::{Backend, NewFolder};
 use tcgs_render::RenderSettings;
 
 use super::scene::BenchScene;
-use crate::output::NewFolder;
+use crate::output::finish;
 
 /// Files of a scene: the Gaussians as 3D Gaussian splatting stores them, the camera, and the camera's image.
 const FILES: [&str; 3] = ["gaussians.ply", "camera.json", "image.npz"];
@@ -47,7 +47,7 @@ pub fn write(folder: &Path, scenes: &[BenchScene], backend: &Backend, force: boo
         write_with(&npz, |file| write_image(file, &output.image)).with_context(|| context(&npz))?;
         written.push(folder.join(name));
     }
-    new.finish()?;
+    finish(new, |_| false)?;
     Ok(written)
 }
 

@@ -12,7 +12,7 @@ use serde_json::json;
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
 use tcgs_codec::CompressSettings;
 use tcgs_pipeline::{
-    Allowance, Backend, CompressOptions, Compressed, EvaluateSettings, Evaluation, OpenScene, OpenSettings,
+    Allowance, Backend, CompressOptions, Compressed, EvaluateSettings, Evaluation, NewFolder, OpenScene, OpenSettings,
     PrunedScene, RefineBudget, RefineOptions, compress_scene, evaluate, fit, kept_gaussians, new_trainer, refine,
 };
 use tcgs_train::{Preset, RefineConfig, Run, TrainConfig};
@@ -21,7 +21,7 @@ use self::late::{LateQuality, LateViews};
 use crate::backend::{BackendName, BackendOptions};
 use crate::error::wrong_input;
 use crate::options::JobOptions;
-use crate::output::{NewFolder, is_empty_folder, show_bytes};
+use crate::output::{self, show_bytes};
 use crate::teller::Teller;
 use crate::terminal::say;
 
@@ -128,7 +128,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let begun = folder.path().join(MARKER);
     fs::write(&begun, MARKER_TEXT).with_context(|| format!("writing {}", begun.display()))?;
     let outcome = pipeline(arguments, &backend, folder.path())?;
-    folder.finish_around(|name| OURS.iter().all(|ours| name != *ours))?;
+    output::finish(folder, |name| OURS.iter().all(|ours| name != *ours))?;
     print_table(arguments, &outcome)?;
     write_json(arguments, &outcome)
 }
@@ -136,7 +136,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 /// Refuses a folder that the demo did not make.
 fn check_place(out: &Path) -> anyhow::Result<()> {
     let is_ours = || fs::read(out.join(MARKER)).is_ok_and(|text| text == MARKER_TEXT.as_bytes());
-    if !out.exists() || is_empty_folder(out) || is_ours() {
+    if !out.exists() || NewFolder::is_empty(out) || is_ours() {
         return Ok(());
     }
     let problem = "exists and was not made by demo, expected a new name or a folder of an earlier demo";

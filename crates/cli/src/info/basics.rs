@@ -3,9 +3,10 @@
 use std::path::Path;
 
 use serde_json::{Value, json};
-use tcgs_capture::{Capture, RawFootage};
+use tcgs_capture::Capture;
 use tcgs_core::SceneReader;
 use tcgs_pipeline::PipelineError;
+use tcgs_prepare::RawFootage;
 
 use crate::error::wrong_input;
 use crate::output::show_bytes;

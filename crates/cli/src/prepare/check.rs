@@ -5,33 +5,26 @@ use std::path::Path;
 use anyhow::Context;
 use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
 use serde_json::{Value, json};
-use tcgs_capture::{Capture, Diagnosis};
+use tcgs_capture::Capture;
 use tcgs_core::Image;
+use tcgs_pipeline::{CHECK_PAGE, examine};
+use tcgs_prepare::{CameraFit, Diagnosis};
 
 use super::page;
 use crate::options::JobOptions;
 use crate::output::write_file;
-use crate::progress::Progress;
+use crate::teller::Teller;
 use crate::terminal::say;
-
-/// Name of the page in a prepared capture.
-pub const PAGE: &str = "check.html";
-
-/// A dry run's line for this step.
-pub const WOULD: &str = "check: would be made, with a page";
 
 /// Least share of points with a measured depth for good pictures between the cameras.
 const MOSTLY_MEASURED: f64 = 0.5;
 /// Angle around each camera within which pictures are good where depth is assumed.
 const ASIDE_DEGREES: usize = 10;
 
-/// Number of steps of a check, for the progress bar.
-const NUM_STEPS: usize = 6;
-
 /// Checks a capture. A finding is an error, for the exit code.
 pub fn run(path: &Path, sheet: Option<&Path>, page: Option<&Path>, job: &JobOptions) -> anyhow::Result<()> {
     let capture = Capture::open_unseen(path)?;
-    let diagnosis = examined(&capture)?;
+    let diagnosis = Teller::default().watch(|teller| examine(&capture, teller))?;
     for line in remarks(&diagnosis) {
         say(&line)?;
     }
@@ -53,30 +46,23 @@ pub fn run(path: &Path, sheet: Option<&Path>, page: Option<&Path>, job: &JobOpti
     anyhow::bail!("{verdict}{hint}")
 }
 
-/// Checks a new capture and writes the page into it. Findings are printed and are no error.
+/// Prints the check of a new capture and writes the page into it. Findings are no error.
 ///
 /// - returns: the diagnosis as JSON
-pub fn after_preparing(path: &Path) -> anyhow::Result<Value> {
-    let capture = Capture::open_unseen(path)?;
-    let diagnosis = examined(&capture)?;
-    for line in remarks(&diagnosis) {
+pub fn after_preparing(path: &Path, capture: &Capture, diagnosis: &Diagnosis) -> anyhow::Result<Value> {
+    for line in remarks(diagnosis) {
         say(&format!("check: {line}"))?;
     }
     for finding in &diagnosis.findings {
         say(&format!("check: {finding}"))?;
     }
-    let file = path.join(PAGE);
-    write_file(&file, page::html(path, &capture, &diagnosis)?.as_bytes(), true)?;
-    say(&format!("check: {}; {} shows it", verdict(path, &diagnosis), file.display()))?;
+    let file = path.join(CHECK_PAGE);
+    write_file(&file, page::html(path, capture, diagnosis)?.as_bytes(), true)?;
+    say(&format!("check: {}; {} shows it", verdict(path, diagnosis), file.display()))?;
     if let Some(share) = diagnosis.measured_share {
         say(&expectation(share))?;
     }
-    Ok(json(path, &diagnosis))
-}
-
-fn examined(capture: &Capture) -> anyhow::Result<Diagnosis> {
-    let mut progress = Progress::new("checking", NUM_STEPS);
-    Ok(tcgs_capture::check(capture, &mut |step| progress.step(|| step.into()))?)
+    Ok(json(path, diagnosis))
 }
 
 /// The limits of a diagnosis, one sentence each.
@@ -105,8 +91,7 @@ pub fn remarks(diagnosis: &Diagnosis) -> Vec<String> {
             hidden.join(", ")
         ));
     }
-    let shown =
-        |(name, camera): (&String, &tcgs_capture::CameraFit)| unlike(camera.fit).map(|fit| format!("{name} {fit:.2}"));
+    let shown = |(name, camera): (&String, &CameraFit)| unlike(camera.fit).map(|fit| format!("{name} {fit:.2}"));
     let unlike: Vec<String> = undecided().filter_map(shown).collect();
     if !unlike.is_empty() {
         lines.push(format!(

@@ -1,32 +1,27 @@
 //! `tcgs prepare`: makes a capture with initial points from the user's footage, and checks captures.
 
-mod cameras;
 mod check;
-mod colors;
-mod link;
-mod masks;
 mod page;
-mod points;
-mod raw;
+mod words;
 
+use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
-use serde_json::{Value, json};
-use tcgs_capture::{Capture, CaptureError, DESCRIPTION_FILE, MASKS_FOLDER, POINTS_FILE, RawFootage};
-use tcgs_interchange::is_unfinished;
+use tcgs_capture::write_prepared;
+use tcgs_pipeline::{
+    Event, FootageOptions, Observer, PipelineError, PrepareOptions, PrepareStep, PreparedCapture, WantMasks, Work,
+    make_points, open_source,
+};
+use tcgs_prepare::StereoSettings;
 
 use crate::error::wrong_input;
+use crate::interrupt;
 use crate::next;
 use crate::options::{self, JobOptions};
-use crate::output::{NewFolder, check_files, check_folder, is_empty_folder, parent, write_json};
-use crate::terminal::say;
-
-/// Record in every capture that this command makes: how it was made, and that it may be replaced.
-const RECORD: &str = "prepare.json";
-
-/// Folder of COLMAP's cameras and points, in its text format.
-const MODEL: &str = "colmap";
+use crate::output::{check_files, check_folder, write_file_with};
+use crate::teller::Teller;
+use crate::terminal::{note, say};
+use words::Words;
 
 /// Make a capture of videos, make initial points for a capture, or check a capture
 ///
@@ -129,7 +124,7 @@ pub struct Arguments {
     /// Make masks of what moves if the capture has none; auto: if the cameras stand still, there are eight frames or
     /// more, and the layout has a place for masks
     #[arg(long, value_name = "WHETHER", default_value = "auto", conflicts_with_all = ["points_only", "check"])]
-    masks: masks::Masks,
+    masks: Masks,
     /// Print which steps would run, and write nothing
     #[arg(long, conflicts_with = "check")]
     dry_run: bool,
@@ -165,104 +160,119 @@ fn yes_or_no(text: &str) -> Result<bool, String> {
     }
 }
 
+/// Whether to make masks of moving things.
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Masks {
+    /// Make them if possible
+    Auto,
+    /// Make them; fail if that is impossible
+    Yes,
+    No,
+}
+
 impl Arguments {
-    /// Whether the source is a folder of videos and not a capture.
-    fn is_raw(&self) -> anyhow::Result<bool> {
-        let asked = self.calibration.is_some() || self.offsets.is_some() || !self.hold_out.is_empty();
-        let asked = asked || self.from.is_some() || self.to.is_some() || self.every.is_some() || self.fps.is_some();
-        let asked = asked || self.scale.is_some();
-        Ok(asked || RawFootage::is_in(&self.source)?)
+    fn options(&self) -> PrepareOptions {
+        PrepareOptions {
+            stereo: self.stereo(),
+            masks: match self.masks {
+                Masks::Auto => WantMasks::Auto,
+                Masks::Yes => WantMasks::Yes,
+                Masks::No => WantMasks::No,
+            },
+            replace: self.job.force,
+            dry_run: self.dry_run,
+            footage: FootageOptions {
+                calibration: self.calibration.clone(),
+                scale: self.scale.as_ref().map(|scale| (scale.cameras.clone(), scale.metres)),
+                refine_calibration: self.refine_calibration,
+                balance_colors: self.colors,
+                offsets: self.offsets.clone(),
+                from_secs: self.from,
+                to_secs: self.to,
+                every: self.every,
+                images_fps: self.fps,
+                hold_out: self.hold_out.clone(),
+            },
+        }
+    }
+
+    fn stereo(&self) -> StereoSettings {
+        let defaults = StereoSettings::default();
+        StereoSettings {
+            num_points: self.points.unwrap_or(defaults.num_points),
+            image_width: self.width.unwrap_or(defaults.image_width),
+            seed: self.job.seed.unwrap_or(defaults.seed),
+        }
     }
 }
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let sources = [Some(arguments.source.as_path()), arguments.calibration.as_deref(), arguments.offsets.as_deref()];
+    let source = arguments.source.as_path();
+    let sources = [Some(source), arguments.calibration.as_deref(), arguments.offsets.as_deref()];
     let sources: Vec<&Path> = sources.into_iter().flatten().collect();
     let pages: Vec<&Path> = [&arguments.sheet, &arguments.page].into_iter().filter_map(Option::as_deref).collect();
     arguments.job.begin(&pages, &sources)?;
     if arguments.check {
-        return check::run(&arguments.source, arguments.sheet.as_deref(), arguments.page.as_deref(), &arguments.job);
+        return check::run(source, arguments.sheet.as_deref(), arguments.page.as_deref(), &arguments.job);
     }
-    if arguments.is_raw()? {
-        return raw::run(arguments);
-    }
-    let force = arguments.job.force;
-    if let Some(file) = &arguments.points_only {
-        check_points_file(file, force)?;
-    }
+    let options = arguments.options();
+    let is_footage = options.footage.is_footage(source)?;
+    let mut words = Words::new(arguments, is_footage);
+    let Some(out) = &arguments.out else {
+        return points_only(arguments, &mut words);
+    };
+    check_folder(out, &[source])?;
+    let prepared = watch(&mut words, |observer| tcgs_pipeline::prepare(source, out, &options, observer))?;
+    let Some(PreparedCapture { capture, mut record, diagnosis, .. }) = prepared else {
+        return Ok(()); // a dry run
+    };
+    record["check"] = check::after_preparing(out, &capture, &diagnosis)?;
+    arguments.job.write_json(&record)?;
+    next::train(out, None)
+}
+
+/// Writes points of a capture, and nothing else.
+fn points_only(arguments: &Arguments, words: &mut Words) -> anyhow::Result<()> {
+    let (source, force) = (arguments.source.as_path(), arguments.job.force);
+    let Some(file) = arguments.points_only.as_deref().filter(|_| !words.is_footage) else {
+        let problem = "is a folder of videos, expected --out CAPTURE: its points need cameras and clocks";
+        return Err(wrong_input(format!("{}: {problem}", source.display())));
+    };
+    check_points_file(file, force)?;
+    let capture = open_source(source)?;
     if arguments.dry_run {
-        if let Some(out) = &arguments.out {
-            // The folder is removed again; an error here would also fail the command itself.
-            drop(begin_capture(out, &arguments.source, force)?);
-        }
-        let capture = open(&arguments.source)?;
-        if arguments.out.is_some() && !capture.has_segmentation() && arguments.masks.are_wanted(&capture)? {
-            say(masks::WOULD)?;
-        }
-        say("points: would be made; cameras and clocks are taken as the capture has them")?;
-        return if arguments.out.is_some() { say(check::WOULD) } else { Ok(()) };
+        return words.of(&PrepareStep::Planned(Work::MakingPoints)).iter().try_for_each(|line| say(line));
     }
-    let folder = arguments.out.as_deref().map(|out| begin_capture(out, &arguments.source, force)).transpose()?;
-    let mut capture = open(&arguments.source)?;
     if capture.has_points() {
-        say("the points that the source has are not used")?;
+        words.of(&PrepareStep::PointsIgnored).iter().try_for_each(|line| say(line))?;
     }
+    let (prepared, mut record) = watch(words, |observer| make_points(&capture, &arguments.stereo(), observer))?;
+    record["source"] = source.display().to_string().into();
+    record["out"] = file.display().to_string().into();
+    write_file_with(file, force, |file| write_prepared(BufWriter::new(file), &prepared))?;
+    arguments.job.write_json(&record)?;
+    next::train(source, Some(file))
+}
 
-    if let Some(folder) = &folder {
-        link::link_tree(&arguments.source, folder.path(), &[POINTS_FILE, RECORD, check::PAGE])?;
-    }
-    let mut told_of_masks = Value::Null;
-    if let Some(folder) = &folder {
-        if capture.has_segmentation() {
-            say("masks: taken as the capture has them")?;
-        } else if arguments.masks.are_wanted(&capture)? {
-            told_of_masks = masks::make(&capture, &arguments.source, folder.path())?;
-            capture = Capture::open_unseen(folder.path())?;
-        }
-    }
-
-    let (prepared, told) = points::make(&capture, arguments)?;
-    let mut result = json!({
-        "source": arguments.source.display().to_string(),
-        "out": arguments.out.as_ref().or(arguments.points_only.as_ref()).map(|out| out.display().to_string()),
+/// Makes a call whose steps are printed.
+fn watch<T>(words: &mut Words, call: impl FnOnce(&mut dyn Observer) -> Result<T, PipelineError>) -> anyhow::Result<T> {
+    let result = Teller::default().watch(|teller| {
+        call(&mut |event: &Event| {
+            if let Event::Begun { work, .. } = event {
+                // COLMAP is a child process, which a signal must end first.
+                interrupt::be_polite(*work == Work::FindingCameras);
+            }
+            let Event::Prepared(step) = event else { return teller.hear(event) };
+            interrupt::be_polite(false);
+            if let PrepareStep::LeftOver(warning) = step {
+                note(warning);
+            }
+            teller.lines(&words.of(step))
+        })
     });
-    for (key, value) in told.as_object().into_iter().flatten() {
-        result[key] = value.clone();
-    }
-    if !told_of_masks.is_null() {
-        result["masks"] = told_of_masks;
-    }
-    if let Some(folder) = folder {
-        points::write(&folder.path().join(POINTS_FILE), &prepared, false)?;
-        write_json(&folder.path().join(RECORD), &result, false)?;
-        folder.finish()?;
-    }
-    if let Some(file) = &arguments.points_only {
-        points::write(file, &prepared, force)?;
-    }
-    if let Some(out) = &arguments.out {
-        result["check"] = check::after_preparing(out)?;
-    }
-    arguments.job.write_json(&result)?;
-    match (&arguments.out, &arguments.points_only) {
-        (Some(out), _) => next::train(out, None),
-        (None, Some(file)) => next::train(&arguments.source, Some(file)),
-        (None, None) => Ok(()),
-    }
-}
-
-/// Opens a source that is not a folder of videos.
-fn open(source: &Path) -> anyhow::Result<Capture> {
-    match Capture::open_unseen(source) {
-        Err(CaptureError::NotCapture { path, .. }) if path.is_dir() => Err(no_videos(&path)),
-        opened => Ok(opened?),
-    }
-}
-
-fn no_videos(folder: &Path) -> anyhow::Error {
-    let expected = "expected one for each camera, or a capture in a layout that tcgs train reads";
-    wrong_input(format!("{}: no videos here, {expected}", folder.display()))
+    interrupt::be_polite(false);
+    result
 }
 
 fn check_points_file(file: &Path, force: bool) -> anyhow::Result<()> {
@@ -271,32 +281,4 @@ fn check_points_file(file: &Path, force: bool) -> anyhow::Result<()> {
     }
     // The file may replace the capture's own points, which this command does not read.
     check_files(&[file], &[], force)
-}
-
-/// Begins a folder outside its source. It replaces an existing folder only if this command made that one.
-fn begin_capture(out: &Path, source: &Path, force: bool) -> anyhow::Result<NewFolder> {
-    check_folder(out, &[source])?;
-    if let (Ok(parent), Ok(source)) = (parent(out).canonicalize(), source.canonicalize())
-        && parent.starts_with(&source)
-    {
-        let problem = format!("lies in {}, expected a place outside the source", source.display());
-        return Err(wrong_input(format!("{}: {problem}", out.display())));
-    }
-    if force && out.exists() && !is_empty_folder(out) {
-        let record = std::fs::read(out.join(RECORD)).unwrap_or_default();
-        if !serde_json::from_slice::<Value>(&record).is_ok_and(|record| record["source"].is_string()) {
-            let problem = "was not made by prepare, expected a new name or a folder of an earlier prepare";
-            return Err(wrong_input(format!("{}: {problem}", out.display())));
-        }
-        for entry in std::fs::read_dir(out).with_context(|| format!("reading {}", out.display()))? {
-            let name = entry?.file_name();
-            let ours = [POINTS_FILE, RECORD, DESCRIPTION_FILE, MODEL, MASKS_FOLDER, "seg", check::PAGE];
-            let ours = ours.iter().any(|ours| name == *ours);
-            if !ours && !is_unfinished(&name) && source.join(&name).symlink_metadata().is_err() {
-                let problem = "is neither of the source nor of prepare, expected it to be moved away first";
-                return Err(wrong_input(format!("{}: {problem}", out.join(name).display())));
-            }
-        }
-    }
-    NewFolder::begin(out, force, |_| true)
 }

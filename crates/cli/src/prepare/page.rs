@@ -3,7 +3,8 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use tcgs_capture::{Capture, CaptureDescription, DescribedCamera, Diagnosis, Finding, Split};
+use tcgs_capture::{Capture, CaptureDescription, DescribedCamera, Split};
+use tcgs_prepare::{CameraFit, Diagnosis, Finding};
 
 use super::check::verdict;
 use crate::pictures::{description, jpeg_uri};
@@ -129,7 +130,7 @@ fn entries<'a>(
 ) -> anyhow::Result<Vec<Entry<'a>>> {
     let num_train = capture.cameras(Split::Train, 0, 1)?.len();
     let names = capture.camera_names(Split::All, 0)?;
-    let entry = |(place, (name, camera)): (usize, (String, &tcgs_capture::CameraFit))| {
+    let entry = |(place, (name, camera)): (usize, (String, &CameraFit))| {
         let id = camera.camera_id;
         Entry {
             name,

@@ -10,13 +10,13 @@ use anyhow::Context;
 use serde_json::json;
 use tcgs_capture::Capture;
 use tcgs_core::{Camera, Tour};
-use tcgs_pipeline::{CameraAt, OpenScene, read_camera_path, render};
+use tcgs_pipeline::{CameraAt, NewFolder, OpenScene, read_camera_path, render};
 
 use crate::backend::{BackendName, BackendOptions};
 use crate::error::wrong_input;
 use crate::interrupt;
 use crate::options::{Frames, JobOptions, Size};
-use crate::output::{NewFolder, check_folder, is_numbered};
+use crate::output::{check_folder, finish, is_numbered};
 use crate::scene::{SceneOptions, describe, note_replaced};
 use crate::teller::Teller;
 use crate::terminal::say;
@@ -184,7 +184,7 @@ impl Output {
     fn finish(self) -> anyhow::Result<()> {
         match self {
             Self::Video(video) => video.finish(),
-            Self::Folder(folder) => folder.finish(),
+            Self::Folder(folder) => finish(folder, |_| false),
         }
     }
 }

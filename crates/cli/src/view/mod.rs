@@ -7,10 +7,11 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, anyhow};
-use tcgs_capture::{Capture, CaptureError, RawFootage, Split};
+use tcgs_capture::{Capture, CaptureError, Split};
 use tcgs_codec::{Archive, DecodeLimits, MAGIC, Opening};
 use tcgs_core::open_file;
 use tcgs_pipeline::points_scene;
+use tcgs_prepare::RawFootage;
 use tcgs_serve::{NO_PAGE, PAGE, SceneSource, Server};
 
 use crate::error::wrong_input;

@@ -1,4 +1,4 @@
-"""Dynamic 3D Gaussian scenes as NumPy arrays: read, train, compress, render.
+"""Dynamic 3D Gaussian scenes as NumPy arrays: read, prepare, train, compress, render.
 
 >>> import tcgs
 >>> scene = tcgs.open("scene.tcgs")
@@ -21,6 +21,7 @@ from tcgs._tcgs import (
     compress,
     evaluate,
     make_demo_capture,
+    prepare,
     rasterize,
     render,
     train,
@@ -40,6 +41,7 @@ __all__ = [
     "evaluate",
     "make_demo_capture",
     "open",
+    "prepare",
     "rasterize",
     "render",
     "train",

@@ -24,6 +24,8 @@ class _Bar:
     def __call__(self, progress: Progress) -> None:
         if progress.message is not None:
             self._write(progress.message, "\n")
+            if not progress.total:
+                return
         parts = [f"{progress.work} {progress.done}/{progress.total}"] if progress.total else ["trying settings"]
         for name, value in [
             ("timestep", progress.timestep),

@@ -1,10 +1,10 @@
-//! A small capture in a temporary folder, for tests to spoil, and the folders of real captures.
+//! A small capture in a temporary folder, for tests to spoil.
 
-use std::fmt::Display;
-use std::io::Write;
-use std::path::{MAIN_SEPARATOR, Path, PathBuf};
+mod needs;
 #[cfg(feature = "video")]
-use std::process::{Command, Stdio};
+pub mod numbered;
+
+use std::path::{MAIN_SEPARATOR, Path, PathBuf};
 
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, CaptureError};
@@ -12,37 +12,13 @@ use tcgs_core::Camera;
 use tcgs_interchange::NpzWriter;
 use tempfile::TempDir;
 
+#[cfg(feature = "video")]
+pub use needs::has_ffmpeg;
+pub use needs::real_folder;
+
 pub const WIDTH: u32 = 16;
 pub const HEIGHT: u32 = 12;
 pub const NUM_FRAMES: usize = 2;
-
-/// The folder of a real or rendered capture. `None` skips the test, unless `REQUIRE_GOLDEN` is set.
-pub fn real_folder(name: &str) -> Option<PathBuf> {
-    let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join(name);
-    if !path.is_dir() {
-        skip("REQUIRE_GOLDEN", format_args!("{} is absent", path.display()));
-        return None;
-    }
-    Some(path)
-}
-
-/// Whether `ffmpeg` is installed; without it a test is skipped, unless `REQUIRE_FFMPEG` is set.
-#[cfg(feature = "video")]
-pub fn has_ffmpeg() -> bool {
-    let found = Command::new("ffmpeg").arg("-version").stdout(Stdio::null()).status().is_ok();
-    if !found {
-        skip("REQUIRE_FFMPEG", "there is no ffmpeg");
-    }
-    found
-}
-
-/// Says that a test is skipped. Fails if the variable `requirement` is set: then no test may be skipped for this
-/// reason.
-fn skip(requirement: &str, reason: impl Display) {
-    assert!(std::env::var_os(requirement).is_none(), "{requirement} is set, and {reason}");
-    // Written past the test harness's capture, so that a skip is visible.
-    let _ = writeln!(std::io::stderr(), "skipped: {reason}");
-}
 
 /// Training cameras 1, 2, 4, 5; test camera 3. Two frames of 16x12 pixels.
 pub struct Small {

@@ -1,0 +1,65 @@
+use tcgs_capture::{SyntheticSettings, write_synthetic};
+
+use super::*;
+
+/// Intersection over union of made and true masks, of all images.
+fn agreement(capture: &Capture) -> f64 {
+    let (mut both, mut either) = (0, 0);
+    let mut truth: Vec<View> = Vec::new();
+    let mut write = |frame: usize, camera_id: usize, mask: &Segmentation| {
+        if truth.first().is_none_or(|view| view.frame != frame) {
+            truth = capture.views(Split::All, frame, 1).unwrap();
+        }
+        let view = truth.iter().find(|view| view.camera_id == camera_id).unwrap();
+        let given = view.segmentation.as_ref().unwrap();
+        assert_eq!(
+            (mask.width, mask.height, mask.foreground.len()),
+            (given.width, given.height, given.foreground.len())
+        );
+        for (a, b) in mask.foreground.iter().zip(&given.foreground) {
+            both += usize::from(*a && *b);
+            either += usize::from(*a || *b);
+        }
+        ControlFlow::Continue(())
+    };
+    let mut last = 0.0;
+    let mut report = |_: &str, share: f64| {
+        assert!((last..1.0).contains(&share), "{share} after {last}");
+        last = share;
+    };
+    make_masks(capture, &MaskSettings::default(), &mut write, &mut report).unwrap();
+    f64::from(both as u32) / f64::from(either as u32)
+}
+
+#[test]
+fn masks_of_a_rendered_room_are_the_true_ones() {
+    let folder = tempfile::tempdir().unwrap();
+    let settings = SyntheticSettings { num_timesteps: 32, num_points: 500, ..SyntheticSettings::default() };
+    write_synthetic(folder.path(), &settings).unwrap();
+    let found = agreement(&Capture::open(folder.path()).unwrap());
+    assert!(found >= 0.8, "intersection over union {found}");
+}
+
+#[test]
+fn too_few_frames_and_moving_cameras_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let settings =
+        SyntheticSettings { width: 32, height: 24, num_timesteps: 8, num_points: 500, ..SyntheticSettings::default() };
+    write_synthetic(folder.path(), &settings).unwrap();
+    let problem = || {
+        let capture = Capture::open_unseen(folder.path()).unwrap();
+        let mut write = |_: usize, _: usize, _: &Segmentation| panic!("a mask");
+        make_masks(&capture, &MaskSettings::default(), &mut write, &mut |_, _| ()).unwrap_err().to_string()
+    };
+    let path = folder.path().join("train_meta.json");
+    let given: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    let mut moved = given.clone();
+    moved["w2c"][4][2][0][3] = serde_json::json!(0.5);
+    std::fs::write(&path, moved.to_string()).unwrap();
+    let found = problem();
+    assert!(found.contains("camera 2 moves or has no image at frame 4, expected cameras that stand still"), "{found}");
+
+    write_synthetic(folder.path(), &SyntheticSettings { num_timesteps: 7, ..settings }).unwrap();
+    let found = problem();
+    assert!(found.contains("has 7 frames, expected at least 8 to tell what moves"), "{found}");
+}

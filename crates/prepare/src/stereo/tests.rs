@@ -1,0 +1,270 @@
+use tcgs_capture::{SyntheticSettings, distance_from_surface, write_synthetic};
+
+use super::*;
+
+/// One frame without points.
+fn synthetic(settings: &SyntheticSettings) -> (tempfile::TempDir, Capture) {
+    let folder = tempfile::tempdir().unwrap();
+    write_synthetic(folder.path(), &SyntheticSettings { num_timesteps: 1, ..settings.clone() }).unwrap();
+    std::fs::remove_file(folder.path().join("init_pt_cld.npz")).unwrap();
+    let capture = Capture::open(folder.path()).unwrap();
+    (folder, capture)
+}
+
+fn prepared(capture: &Capture, settings: &StereoSettings) -> Prepared {
+    stereo_points(capture, settings, &mut |_| ()).unwrap()
+}
+
+/// Distances from the true surfaces of the points of an origin, ascending.
+fn distances(prepared: &Prepared, foreground: bool, origin: Origin) -> Vec<f64> {
+    let cloud = &prepared.cloud;
+    let chosen =
+        (0..cloud.points.len()).filter(|&i| prepared.origins[i] == origin && cloud.foreground[i] == foreground);
+    let mut distances: Vec<f64> = chosen.map(|i| distance_from_surface(cloud.points[i], foreground)).collect();
+    distances.sort_by(f64::total_cmp);
+    distances
+}
+
+#[test]
+fn points_lie_on_the_true_surfaces() {
+    let (_folder, capture) = synthetic(&SyntheticSettings::default());
+    let prepared = prepared(&capture, &StereoSettings { num_points: 8000, ..StereoSettings::default() });
+    // Limits in metres at some shares of the points, for a room 5.4 m wide where a pixel of 128 sees 2 to 4 cm.
+    let check = |foreground: bool, origin: Origin, at_least: usize, limits: [(f64, f64); 2]| {
+        let distances = distances(&prepared, foreground, origin);
+        assert!(distances.len() >= at_least, "{foreground} {origin:?}: {} points", distances.len());
+        for (share, limit) in limits {
+            let found = distances[(share * (distances.len() - 1) as f64) as usize];
+            assert!(found < limit, "{foreground} {origin:?}: {share} of the points within {found}");
+        }
+    };
+    check(true, Origin::Triangulated, 1500, [(0.5, 0.015), (0.9, 0.05)]);
+    check(true, Origin::Hull, 100, [(0.5, 0.03), (0.9, 0.06)]);
+    check(false, Origin::Triangulated, 3000, [(0.5, 0.015), (0.9, 0.1)]);
+    check(false, Origin::Filled, 300, [(0.5, 0.16), (0.9, 0.45)]);
+    check(false, Origin::Shell, 100, [(0.5, 0.25), (0.9, 0.6)]);
+    assert!((6000..=8000).contains(&prepared.cloud.points.len()), "{}", prepared.cloud.points.len());
+    assert!((0.2..1.0).contains(&prepared.agreement), "{}", prepared.agreement);
+}
+
+#[test]
+fn points_have_the_colours_that_cameras_see() {
+    let (_folder, capture) = synthetic(&SyntheticSettings::default());
+    let prepared = prepared(&capture, &StereoSettings { num_points: 4000, ..StereoSettings::default() });
+    // A held-out camera sees the same ball from where no other camera stands.
+    let view = &capture.views(Split::Test, 0, 1).unwrap()[0];
+    let (vantage, mut differences) = (Vantage::new(view, 1), Vec::new());
+    for i in (0..prepared.cloud.points.len()).filter(|&i| prepared.cloud.foreground[i]) {
+        if let Some((pixel, depth)) = vantage.pinhole.pixel(prepared.cloud.points[i])
+            && vantage.is_foreground(pixel)
+            && depth < 2.2
+        {
+            let color = prepared.cloud.colors[i];
+            differences.push((0..3).map(|c| (vantage.colors[pixel][c] - color[c]).abs()).fold(0.0, f32::max));
+        }
+    }
+    differences.sort_by(f32::total_cmp);
+    assert!(differences.len() > 100, "{}", differences.len());
+    assert!(differences[differences.len() / 2] < 0.08, "{}", differences[differences.len() / 2]);
+}
+
+#[test]
+fn equal_images_give_equal_points_whatever_the_threads() {
+    let (_folder, capture) = synthetic(&SyntheticSettings { width: 64, height: 48, ..SyntheticSettings::default() });
+    let with = |num_threads: usize, seed: u64| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(num_threads).build().unwrap();
+        let settings = StereoSettings { num_points: 2000, seed, ..StereoSettings::default() };
+        pool.install(|| prepared(&capture, &settings)).cloud
+    };
+    let one = with(1, 0);
+    assert_eq!(one, with(3, 0));
+    assert_ne!(one, with(2, 1));
+}
+
+#[test]
+fn without_masks_anything_may_move() {
+    let settings = SyntheticSettings { width: 64, height: 48, ..SyntheticSettings::default() };
+    let (folder, _) = synthetic(&settings);
+    std::fs::remove_dir_all(folder.path().join("seg")).unwrap();
+    let capture = Capture::open(folder.path()).unwrap();
+    let prepared = prepared(&capture, &StereoSettings { num_points: 2000, ..StereoSettings::default() });
+    assert!(prepared.count(Origin::Hull) == 0 && prepared.count(Origin::Triangulated) > 200);
+    assert!(prepared.cloud.foreground.iter().all(|&foreground| foreground));
+}
+
+#[test]
+fn cameras_that_fit_nothing_are_refused() {
+    let (folder, _) = synthetic(&SyntheticSettings { width: 64, height: 48, ..SyntheticSettings::default() });
+    // Every image becomes the same grey.
+    for camera in 0..14 {
+        image::GrayImage::from_pixel(64, 48, image::Luma([128]))
+            .save(folder.path().join(format!("ims/{camera}/000000.png")))
+            .unwrap();
+    }
+    std::fs::remove_dir_all(folder.path().join("seg")).unwrap();
+    let capture = Capture::open(folder.path()).unwrap();
+    let problem = stereo_points(&capture, &StereoSettings::default(), &mut |_| ()).unwrap_err().to_string();
+    assert!(problem.contains("no three views agree on any depth"), "{problem}");
+}
+
+/// Rewrites the matrices of all training cameras.
+fn change_matrices(folder: &tempfile::TempDir, change: impl Fn(usize, &mut [[f64; 4]; 4])) {
+    let path = folder.path().join("train_meta.json");
+    let mut meta: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    for (i, matrix) in meta["w2c"][0].as_array_mut().unwrap().iter_mut().enumerate() {
+        let mut changed = serde_json::from_value(matrix.clone()).unwrap();
+        change(i, &mut changed);
+        *matrix = serde_json::json!(changed);
+    }
+    std::fs::write(path, meta.to_string()).unwrap();
+}
+
+#[test]
+fn cameras_too_far_apart_are_refused_unless_masks_give_a_hull() {
+    let small = SyntheticSettings { width: 64, height: 48, ..SyntheticSettings::default() };
+    // 83 degrees from camera to camera.
+    let (folder, capture) =
+        synthetic(&SyntheticSettings { num_train_cameras: 3, num_test_cameras: 0, ..small.clone() });
+    let masked = prepared(&capture, &StereoSettings { num_points: 2000, ..StereoSettings::default() });
+    assert!(masked.origins.iter().all(|origin| [Origin::Hull, Origin::Shell].contains(origin)));
+    let distances = distances(&masked, true, Origin::Hull);
+    assert!(distances.len() > 50 && distances[distances.len() / 2] < 0.1, "{} points", distances.len());
+
+    let expect_refusal = |folder: &tempfile::TempDir| {
+        std::fs::remove_dir_all(folder.path().join("seg")).unwrap();
+        let capture = Capture::open_unseen(folder.path()).unwrap();
+        let refused = stereo_points(&capture, &StereoSettings::default(), &mut |_| ()).unwrap_err().to_string();
+        assert!(refused.contains("has no training camera with two others within 66 degrees"), "{refused}");
+        assert_eq!(crate::check(&capture, &mut |_| ()).unwrap_err().to_string(), refused);
+    };
+    expect_refusal(&folder);
+    // All in one place.
+    let (folder, _) = synthetic(&small);
+    change_matrices(&folder, |_, matrix| (0..3).for_each(|row| matrix[row][3] = 0.0));
+    expect_refusal(&folder);
+}
+
+#[test]
+fn a_camera_that_looks_away_does_no_harm() {
+    let (folder, _) = synthetic(&SyntheticSettings { width: 64, height: 48, ..SyntheticSettings::default() });
+    std::fs::remove_dir_all(folder.path().join("seg")).unwrap();
+    // Turned by half a turn about its own vertical.
+    change_matrices(&folder, |i, matrix| {
+        if i == 4 {
+            [0, 2].into_iter().for_each(|row| matrix[row] = matrix[row].map(|x| -x));
+        }
+    });
+    let capture = Capture::open(folder.path()).unwrap();
+    let prepared = prepared(&capture, &StereoSettings { num_points: 2000, ..StereoSettings::default() });
+    assert!(prepared.count(Origin::Triangulated) > 200, "{}", prepared.count(Origin::Triangulated));
+}
+
+#[test]
+fn the_unit_of_length_may_be_tiny() {
+    let (folder, _) = synthetic(&SyntheticSettings { width: 64, height: 48, ..SyntheticSettings::default() });
+    std::fs::remove_dir_all(folder.path().join("seg")).unwrap();
+    change_matrices(&folder, |_, matrix| (0..3).for_each(|row| matrix[row][3] *= 1e7));
+    let capture = Capture::open(folder.path()).unwrap();
+    let prepared = prepared(&capture, &StereoSettings { num_points: 2000, ..StereoSettings::default() });
+    assert!(prepared.count(Origin::Triangulated) > 200, "{}", prepared.count(Origin::Triangulated));
+}
+
+#[test]
+fn a_search_without_other_views_believes_nothing() {
+    let (_folder, capture) = synthetic(&SyntheticSettings { width: 64, height: 48, ..SyntheticSettings::default() });
+    let vantage = Vantage::new(&capture.views(Split::Train, 0, 1).unwrap()[0], 1);
+    let ranges = vec![[0.1, 1.0]; vantage.gray.len()];
+    let map = Search { vantage: &vantage, sources: Vec::new(), ranges: &ranges, seed: 0 }.begin(None);
+    assert!(Belief::of(&map).known.iter().all(|known| !known));
+}
+
+#[test]
+fn the_hull_of_a_ball_is_the_ball() {
+    let (radius, center) = (0.3, [0.1, -0.2, 0.05]);
+    let cameras: Vec<tcgs_core::Camera> = (0..12)
+        .map(|i| {
+            let angle = f64::from(i) * std::f64::consts::TAU / 12.0;
+            let from = [2.0 * angle.cos(), [-1.5, 0.4, 1.0][i as usize % 3], 2.0 * angle.sin()];
+            tcgs_core::Camera::look_at(from, [0.0; 3], [0.0, -1.0, 0.0], 100.0, 96, 96)
+        })
+        .collect();
+    let pinholes: Vec<Pinhole<f32>> = cameras.iter().map(Pinhole::new).collect();
+    let masks: Vec<Vec<bool>> = pinholes
+        .iter()
+        .map(|pinhole| {
+            let sees = |pixel: usize| {
+                let ray = tcgs_core::normalize(pinhole.ray(pinhole.pixel_center(pixel)));
+                let to = tcgs_core::sub(center, pinhole.center);
+                let along = tcgs_core::dot(to, ray);
+                tcgs_core::dot(to, to) - along * along < radius * radius
+            };
+            (0..96 * 96).map(sees).collect()
+        })
+        .collect();
+    let silhouettes: Vec<Silhouette> =
+        pinholes.iter().zip(&masks).map(|(pinhole, mask)| Silhouette { pinhole, mask }).collect();
+    let hull = Hull::carve(&silhouettes, 1.5);
+    let distances: Vec<f32> = hull.surface().iter().map(|&p| tcgs_core::distance(p, center)).collect();
+    let mean = distances.iter().sum::<f32>() / distances.len() as f32;
+    assert!(distances.len() > 300 && (mean - radius).abs() < 0.04, "{} cubes, {mean}", distances.len());
+    assert!(distances.iter().all(|&d| d < radius + 0.15), "a hull of 12 views reaches little beyond");
+    let [near, far] = hull.depths(&hull.surface(), &pinholes[0])[48 * 96 + 48];
+    assert!(near < far && near > 1.0 && far < 3.5, "{near} to {far}");
+
+    // One mask in twelve that lost everything is one too many here; two views alone say nothing.
+    assert!(Hull::carve(&[], 1.5).surface().is_empty());
+}
+
+#[test]
+fn filling_continues_a_plane() {
+    let view = |camera: tcgs_core::Camera| View {
+        image: tcgs_core::Image::filled(camera.width, camera.height, 3, 0.5),
+        camera,
+        segmentation: None,
+        frame: 0,
+        camera_id: 0,
+    };
+    let camera = tcgs_core::Camera::look_at([0.0; 3], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0], 60.0, 64, 48);
+    let vantage = Vantage::new(&view(camera), 1);
+    // A floor seen from above: inverse depth grows downwards. Its middle is not known.
+    let inverse_depth = |pixel: usize| 0.2 + 0.01 * (pixel / 64) as f32;
+    let hole = |pixel: usize| (20..36).contains(&(pixel % 64)) && (16..32).contains(&(pixel / 64));
+    let known = |pixel: usize| if hole(pixel) { 0.0 } else { 1.0 / inverse_depth(pixel) };
+    let sure = SureDepths { depths: (0..64 * 48).map(known).collect() };
+    let filled = fill::fill(&vantage, &sure, 5);
+    for pixel in 0..64 * 48 {
+        if hole(pixel) {
+            assert!((filled[pixel] / inverse_depth(pixel) - 1.0).abs() < 0.12, "{pixel}: {}", filled[pixel]);
+        } else {
+            assert_eq!(filled[pixel], 0.0);
+        }
+    }
+    // Not further than it is told to.
+    let alone = SureDepths { depths: (0..64 * 48).map(|pixel| f32::from(u8::from(pixel == 0))).collect() };
+    let filled = fill::fill(&vantage, &alone, 3);
+    assert!(filled[5] > 0.0 && filled[40] == 0.0);
+}
+
+#[test]
+fn thinning_keeps_the_best_and_the_count() {
+    let point = |x: f32, y: f32, z: f32| Point { position: [x, y, z], color: [x, 0.0, 0.0], foreground: true };
+    let grid = |z: f32| (0..10_000).map(|i| point((i % 100) as f32, (i / 100) as f32, z)).collect::<Vec<_>>();
+    let lists = [grid(0.0), [grid(0.3), grid(50.0)].concat()];
+    let thinned = thin::thin(&lists, 1000);
+    assert!((600..=1000).contains(&thinned.len()), "{}", thinned.len());
+    for (list, point) in &thinned {
+        // Where both lists have points the first one wins.
+        assert_eq!(point.position[2] > 25.0, *list == 1, "{point:?}");
+    }
+    assert_eq!(thin::thin(&[grid(0.0)], 20_000).len(), 10_000);
+    // Far out, as in millimetres.
+    let far = grid(0.0).into_iter().map(|p| Point { position: p.position.map(|x| 5000.0 + x), ..p }).collect();
+    assert_eq!(thin::thin(&[far], 20_000).len(), 10_000);
+}
+
+#[test]
+fn equations_are_solved_or_not() {
+    let found = solve([[0.0, 2.0, 4.0], [1.0, 1.0, 5.0]]).unwrap();
+    assert!((found[0] - 3.0).abs() < 1e-12 && (found[1] - 2.0).abs() < 1e-12);
+    assert_eq!(solve([[1.0, 2.0, 4.0], [2.0, 4.0, 5.0]]), None);
+}
