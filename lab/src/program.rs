@@ -56,6 +56,7 @@ pub fn catch_signals() -> anyhow::Result<()> {
         let step = STEP.load(Ordering::SeqCst);
         terminate(step);
         if ASKED.swap(true, Ordering::SeqCst) || step == 0 {
+            tcgs_interchange::remove_held();
             eprintln!("lab: {Stopped}");
             std::process::exit(STOPPED);
         }

@@ -1,5 +1,5 @@
-//! Tables of the paper, on a capture too small to learn from: what is run, kept, written and refused. The program `tcgs`
-//! has to be built beside the laboratory, as `cargo test --workspace` does.
+//! Tables of the paper, on a capture too small to learn from: what is run, kept, written and refused. They need the
+//! program `tcgs` beside the laboratory, where `cargo test --workspace` builds it.
 
 // Helpers of tests may unwrap, as tests may.
 #![allow(clippy::unwrap_used)]
