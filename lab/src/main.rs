@@ -48,7 +48,7 @@ struct Arguments {
     #[command(subcommand)]
     experiment: Option<Experiment>,
     #[command(flatten)]
-    table: tables::Arguments,
+    table: tables::TableArguments,
 }
 
 #[derive(Subcommand)]

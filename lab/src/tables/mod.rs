@@ -23,7 +23,7 @@ use crate::program::Program;
 
 // `main` has the help of the command: a doc comment would replace it.
 #[derive(clap::Args)]
-pub struct Arguments {
+pub struct TableArguments {
     /// Name of the table
     #[arg(required_unless_present = "list")]
     table: Option<String>,
@@ -72,7 +72,7 @@ pub struct Arguments {
 }
 
 /// Runs the command.
-pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+pub fn run(arguments: &TableArguments) -> anyhow::Result<()> {
     if arguments.list {
         for (name, table) in tables()? {
             println!("{name:<12}  {} ({})", table.title, table.paper);
@@ -123,7 +123,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 /// The arguments again, without the options that apply to one call only.
-fn command(arguments: &Arguments, table: &str) -> anyhow::Result<Vec<String>> {
+fn command(arguments: &TableArguments, table: &str) -> anyhow::Result<Vec<String>> {
     let mut command = vec![table.to_owned()];
     for (name, path) in [("--data", &arguments.data), ("--out", &arguments.out)] {
         if let Some(path) = path {
@@ -156,7 +156,7 @@ fn check_captures(plan: &TablePlan, place: &Workplace) -> anyhow::Result<()> {
 }
 
 /// Commands for all runs that lack something, for GNU parallel or a batch system.
-fn missing_commands(plan: &TablePlan, place: &Workplace, arguments: &Arguments) -> anyhow::Result<Vec<String>> {
+fn missing_commands(plan: &TablePlan, place: &Workplace, arguments: &TableArguments) -> anyhow::Result<Vec<String>> {
     let this = quoted(&argument(&std::env::current_exe().context("finding this program")?)?);
     let mut common = [&*place.command, &place.backend, &place.threads].concat();
     if let Some(program) = &arguments.program {
