@@ -1,16 +1,17 @@
-//! Embeds the commit of the build in the program, so that results can name their producer.
+//! Embeds the commit of the build in the program; `tcgs --version` prints it.
 
 use std::fs;
 use std::path::Path;
 use std::process::Command;
 
 fn main() {
-    name_commit();
-}
-
-fn name_commit() {
-    let commit = git(&["describe", "--always", "--dirty", "--abbrev=10"]).unwrap_or_else(|| "unknown".into());
-    println!("cargo::rustc-env=TCGS_COMMIT={commit}");
+    let version = env!("CARGO_PKG_VERSION");
+    // A package of crates.io has no commit.
+    let commit = git(&["describe", "--always", "--dirty", "--abbrev=10"]);
+    println!(
+        "cargo::rustc-env=TCGS_VERSION={version}{}",
+        commit.map_or_else(String::new, |commit| format!(" ({commit})"))
+    );
     // Runs again when sources or the commit change, so that the `--dirty` mark stays current.
     for entry in fs::read_dir("..").into_iter().flatten().flatten() {
         let sources = entry.path().join("src");

@@ -31,13 +31,6 @@ pub enum BackendName {
 }
 
 impl BackendOptions {
-    /// The same options as arguments for another command.
-    pub fn arguments(&self) -> Vec<String> {
-        let backend = self.backend.and_then(|backend| Some(backend.to_possible_value()?.get_name().to_owned()));
-        let options = [("--backend", backend), ("--device", self.device.clone())];
-        options.into_iter().filter_map(|(name, value)| Some([name.to_owned(), value?])).flatten().collect()
-    }
-
     /// Opens the requested backend and prints its name on standard error. Call it after setting the number of threads.
     ///
     /// - `default`: used where the command line names no backend

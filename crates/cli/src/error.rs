@@ -7,7 +7,6 @@ use tcgs_interchange::InterchangeError;
 use tcgs_metrics::MetricsError;
 use tcgs_pipeline::{Fault, HasFault, PipelineError};
 use tcgs_prepare::{PrepareError, RawFootage};
-use tcgs_reproduce::ReproduceError;
 use tcgs_train::TrainError;
 
 use crate::{attribute_errors, interrupt, next};
@@ -56,18 +55,6 @@ pub fn message(error: &anyhow::Error) -> String {
         Some(CaptureError::NotCapture { path, .. }) if RawFootage::is_in(path).unwrap_or(false) => {
             let (shown, prepare) = (path.display(), next::prepare(path));
             return format!("{shown}: is a folder of videos or images, expected a capture; `{prepare}` makes one");
-        }
-        _ => {}
-    }
-    match error.downcast_ref::<ReproduceError>() {
-        Some(ReproduceError::NoCaptures { present, .. }) if present.is_empty() => {
-            return format!("{error:#}, or --scenes with those that are there");
-        }
-        Some(ReproduceError::NoCaptures { present, .. }) => {
-            return format!("{error:#}, or --scenes {}", present.join(","));
-        }
-        Some(ReproduceError::OtherArguments { .. }) => {
-            return format!("{error:#}; choose another --out, or --force to make it anew");
         }
         _ => {}
     }
@@ -129,7 +116,6 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
         .then_some(Fault::Input)
         .or_else(|| error.is::<Stopped>().then_some(Fault::Stopped))
         .or_else(|| fault::<PipelineError>(error))
-        .or_else(|| fault::<ReproduceError>(error))
         .or_else(|| fault::<CaptureError>(error))
         .or_else(|| fault::<PrepareError>(error))
         .or_else(|| fault::<TrainError>(error))
@@ -163,17 +149,6 @@ mod tests {
         let message = |error: anyhow::Error| message(&error);
         let no_depth = message(PrepareError::NoDepth { path: "x".into() }.into());
         assert!(no_depth.ends_with("`tcgs prepare --check` looks for the reason"), "{no_depth}");
-
-        let missing = |present: &[&str]| {
-            let present = present.iter().map(|scene| (*scene).to_owned()).collect();
-            ReproduceError::NoCaptures { data: "x".into(), missing: vec!["a".into()], present }.into()
-        };
-        let expected = "x: has no captures named a, expected a folder for each, or --scenes";
-        assert_eq!(message(missing(&[])), format!("{expected} with those that are there"));
-        assert_eq!(message(missing(&["b", "c"])), format!("{expected} b,c"));
-        let (found, expected) = (Box::new("a".into()), Box::new("b".into()));
-        let other = message(ReproduceError::OtherArguments { path: "x".into(), found, expected }.into());
-        assert!(other.ends_with("expected \"b\"; choose another --out, or --force to make it anew"), "{other}");
     }
 
     #[test]

@@ -3,9 +3,8 @@
 //! A signal ends the process at once and removes unfinished files. A command that has to finish its step first calls
 //! [`politely`]; a second signal then ends the process at once.
 
-use std::io;
 use std::ops::ControlFlow;
-use std::process::{Child, Command, ExitStatus};
+use std::process::Child;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use anyhow::Context;
@@ -64,24 +63,6 @@ pub fn politely<T>(work: impl FnOnce() -> T) -> T {
 /// Sets whether the command calls [`asked`] between its steps, so that the first signal does not end the process.
 pub fn be_polite(is_polite: bool) {
     IS_POLITE.store(is_polite, Ordering::SeqCst);
-}
-
-/// Runs a child to its end and passes signals on to it.
-///
-/// # Errors
-/// The errors of starting a process; [`io::ErrorKind::Interrupted`] after a signal.
-pub fn run(step: &mut Command) -> io::Result<ExitStatus> {
-    if asked().is_break() {
-        return Err(io::ErrorKind::Interrupted.into());
-    }
-    // A process group of its own: Ctrl-C in a terminal then reaches only this process, which passes it on once.
-    #[cfg(unix)]
-    std::os::unix::process::CommandExt::process_group(step, 0);
-    let mut child = step.spawn()?;
-    pass_on_to(Some(&child));
-    let status = child.wait();
-    pass_on_to(None);
-    status
 }
 
 /// Sets the child that signals are passed on to, until the next call.

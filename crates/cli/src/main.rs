@@ -20,7 +20,6 @@ mod pictures;
 mod prepare;
 mod progress;
 mod render;
-mod reproduce;
 mod scene;
 mod teller;
 mod terminal;
@@ -37,7 +36,7 @@ use tcgs_pipeline::NewFolder;
 /// Temporally compressed 3D Gaussian splatting: from synchronized videos to dynamic scenes that are small
 /// enough to stream.
 #[derive(Parser)]
-#[command(name = "tcgs", bin_name = "tcgs", version, after_help = EXAMPLE, max_term_width = 120)]
+#[command(name = "tcgs", bin_name = "tcgs", version = env!("TCGS_VERSION"), after_help = EXAMPLE, max_term_width = 120)]
 struct Arguments {
     #[command(subcommand)]
     command: Command,
@@ -63,7 +62,6 @@ enum Command {
     Render(render::Arguments),
     Eval(eval::Arguments),
     Export(export::Arguments),
-    Reproduce(reproduce::Arguments),
     View(view::Arguments),
     Bench(bench::Arguments),
 }
@@ -97,7 +95,6 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Render(arguments) => render::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
-        Command::Reproduce(arguments) => reproduce::run(&arguments),
         Command::View(arguments) => view::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
     }

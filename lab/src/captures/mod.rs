@@ -1,4 +1,4 @@
-//! `lab captures`: settings compared on many captures, judged by training cameras that were left out.
+//! The experiment `captures`: settings compared on many captures, judged by training cameras that were left out.
 //!
 //! `captures.toml` lists the captures. A *variant* is a set of options of `tcgs train` and `tcgs compress`. Each pair
 //! of a capture and a variant is trained, compressed and measured once: a stopped command goes on where it was.
@@ -15,6 +15,8 @@ use serde_json::Value;
 
 use self::plan::{CaptureEntry, Variant};
 use self::steps::Place;
+use crate::error::{Stopped, wrong_input};
+use crate::program::Program;
 
 /// Compare settings on many captures
 ///
@@ -24,9 +26,10 @@ use self::steps::Place;
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:
-  lab captures --data captures --out out --short \\
+  cargo run --release -p tcgs-lab -- captures --data captures --out out --short \\
     --variant 'default' --variant 'paper masks: --set weights.mask=0.01 --set weights.mask_consistency=0.01'
-  lab captures --data captures --out out --only toss --variant 'refined: / --quality -1 --refine 1500'")]
+  cargo run --release -p tcgs-lab -- captures --data captures --out out --only toss \\
+    --variant 'refined: / --quality -1 --refine 1500'")]
 pub struct Arguments {
     /// Folder of the captures
     #[arg(long, value_name = "DIR")]
@@ -53,8 +56,7 @@ pub struct Arguments {
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let beside = || Ok::<_, std::io::Error>(std::env::current_exe()?.with_file_name("tcgs"));
-    let program = arguments.program.clone().map_or_else(beside, Ok)?;
+    let program = Program::find(arguments.program.clone())?;
     let place =
         Place { data: arguments.data.clone(), out: arguments.out.clone(), program, judged_by_test: arguments.test };
     let chosen = |entry: &CaptureEntry| {
@@ -62,13 +64,16 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         (arguments.only.is_empty() || is_named) && (entry.short || !arguments.short)
     };
     let entries: Vec<CaptureEntry> = plan::captures()?.into_iter().filter(chosen).collect();
-    anyhow::ensure!(!entries.is_empty(), "no capture has such a name, expected one of lab/captures.toml");
+    if entries.is_empty() {
+        return Err(wrong_input("no capture has such a name, expected one of lab/captures.toml"));
+    }
     let mut rows = Vec::new();
     for entry in &entries {
         for variant in &arguments.variant {
             let found = place.measured(entry, variant);
             match found.with_context(|| format!("{}, {}", entry.name, variant.name)) {
                 Ok(found) => rows.push(Row { capture: entry.name.clone(), variant: variant.name.clone(), found }),
+                Err(error) if error.is::<Stopped>() => return Err(error),
                 // One capture that fails leaves the others their rows.
                 Err(error) => eprintln!("lab: {error:#}"),
             }

@@ -14,6 +14,8 @@ use tcgs_pipeline::{OpenScene, OpenSettings};
 
 use super::measure::measure;
 use super::plan::{CaptureEntry, Variant};
+use crate::program::{Program, run};
+use crate::slug;
 
 /// Where everything lies.
 pub struct Place {
@@ -21,8 +23,8 @@ pub struct Place {
     pub data: PathBuf,
     /// Folder for what is made.
     pub out: PathBuf,
-    /// The program `tcgs`.
-    pub program: PathBuf,
+    /// The program that runs every step.
+    pub program: Program,
     /// Whether test cameras judge instead of training cameras that were left out.
     pub judged_by_test: bool,
 }
@@ -127,7 +129,7 @@ impl Place {
         }
         if let Some(every) = entry.every {
             if !made.is_dir() {
-                let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../scripts/every_nth_frame.py");
+                let script = concat!(env!("CARGO_MANIFEST_DIR"), "/scripts/every_nth_frame.py");
                 let status = Command::new(script).arg(&given).arg(every.to_string()).arg(&made).status()?;
                 anyhow::ensure!(status.success(), "{script}: {status}");
             }
@@ -148,13 +150,9 @@ impl Place {
             fs::remove_file(&json_path)?;
         }
         let begin = Instant::now();
-        let status = Command::new(&self.program)
-            .args(arguments)
-            .args(["--json", text(&json_path)?])
-            .stdout(file.try_clone()?)
-            .stderr(file)
-            .status()
-            .with_context(|| self.program.display().to_string())?;
+        let mut program = Command::new(&self.program.path);
+        program.args(arguments).args(["--json", text(&json_path)?]).stdout(file.try_clone()?).stderr(file);
+        let status = run(&mut program)?;
         anyhow::ensure!(status.success(), "{step}: {status}, see {}", log.display());
         Ok(begin.elapsed().as_secs_f64())
     }
@@ -174,10 +172,4 @@ fn without_images(mut eval: Value) -> Value {
         object.remove("images");
     }
     eval
-}
-
-/// For names of folders.
-fn slug(name: &str) -> String {
-    let plain = name.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { ' ' });
-    plain.collect::<String>().split_whitespace().collect::<Vec<_>>().join("-")
 }

@@ -11,7 +11,7 @@ use tcgs_core::{Attribute, Image};
 use tcgs_pipeline::{Evaluation, ImageScore, OpenScene};
 use tcgs_render::device::GpuError;
 use tcgs_render::{DrawAny, RenderSettings};
-use tcgs_reproduce::{CompressionStep, Picture, Report, Series, png};
+use tcgs_report::{CompressionStep, Picture, Report, Series, png};
 use tcgs_train::Run;
 
 use super::Outcome;
@@ -111,7 +111,7 @@ pub fn html(outcome: &Outcome, run: &Run, pictures: Vec<Picture>) -> anyhow::Res
             ssim: Some(s.quality.ssim),
         })
         .collect();
-    Ok(tcgs_reproduce::html(&Report {
+    Ok(tcgs_report::html(&Report {
         title: "tcgs demo".into(),
         summary: summary.into_iter().map(|(name, value)| (name.into(), value)).collect(),
         stages,

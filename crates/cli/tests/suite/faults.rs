@@ -250,27 +250,6 @@ fn a_training_ends_after_its_step_by_any_signal_but_not_under_nohup() {
     assert!(child.wait().unwrap().success());
 }
 
-/// The training of a table is a child process.
-#[test]
-fn a_signal_to_a_table_ends_its_training() {
-    let folder = tempdir().unwrap();
-    let (data, out) = (folder.path().join("data"), folder.path().join("out"));
-    fs::create_dir(&data).unwrap();
-    symlink(capture(), data.join("basketball")).unwrap();
-    let mut command = tcgs();
-    command.args(["reproduce", "ablation", "--data", text(&data), "--out", text(&out), "--scenes", "basketball"]);
-    command.args(["--backend", "cpu", "--train-args", "--iterations 100000,1 --frames 0..4"]);
-    let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
-    let run = out.join("runs/basketball/d3dgs/train");
-    while !run.join("config.toml").exists() {
-        assert!(child.try_wait().unwrap().is_none(), "nothing to end");
-        std::thread::sleep(Duration::from_millis(5));
-    }
-    send("TERM", &child);
-    assert_eq!(child.wait().unwrap().code(), Some(130));
-    assert!(fs::File::open(&run).unwrap().try_lock().is_ok(), "the training goes on");
-}
-
 #[test]
 fn a_source_is_never_replaced() {
     let folder = tempdir().unwrap();

@@ -10,7 +10,7 @@ use std::process::{Output, Stdio};
 use std::time::{Duration, Instant, SystemTime};
 
 use crate::support::*;
-use tempfile::{TempDir, tempdir};
+use tempfile::TempDir;
 
 /// A folder with a capture, a run of it and its file, named `capture`, `run` and `scene.tcgs`.
 fn workplace() -> TempDir {
@@ -283,22 +283,4 @@ fn open_for_times(path: &Path) -> File {
     use std::os::windows::fs::OpenOptionsExt;
     const FILE_FLAG_BACKUP_SEMANTICS: u32 = 0x0200_0000;
     File::options().write(true).custom_flags(FILE_FLAG_BACKUP_SEMANTICS).open(path).unwrap()
-}
-
-#[test]
-fn a_table_is_made_anew_by_relative_names() {
-    let folder = tempdir().unwrap();
-    tcgs_capture::write_synthetic(&folder.path().join("data/basketball"), &SETTINGS).unwrap();
-    let begin =
-        ["reproduce", "ablation", "--data", "data", "--out", "out", "--scenes", "basketball", "--size", "small"];
-    let only = ["--only", "basketball/ours"];
-    let arguments = |training: &'static str| [&begin[..], &only, &[training]].concat();
-    succeed_in(folder.path(), &arguments("--train-args=--frames 0..2 --iterations 3,1 --downscale 1"));
-    let before = entries(folder.path());
-    let others = arguments("--train-args=--frames 0..2 --iterations 4,1 --downscale 1");
-    let refused = run_in(folder.path(), &others);
-    assert_eq!(refused.status.code(), Some(2));
-    assert!(String::from_utf8_lossy(&refused.stderr).contains("--force"));
-    succeed_in(folder.path(), &[&others[..], &["--force"]].concat());
-    assert_eq!(entries(folder.path()), before);
 }

@@ -27,7 +27,6 @@ mod raw;
 mod recover;
 #[cfg(feature = "gpu")]
 mod refusals;
-mod reproduce;
 mod resume;
 mod scenes;
 mod support;

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """How good are cameras that `tcgs prepare` finds without a calibration?
 
-    scripts/prove_calibration.py KITCHEN OUT [--tcgs target/release/tcgs] [--frames 4] [--downscale 4] [--iterations 600,150]
+    lab/scripts/prove_calibration.py KITCHEN OUT [--tcgs target/release/tcgs] [--frames 4] [--downscale 4] [--iterations 600,150]
 
 KITCHEN is a folder in the layout of Neural 3D Video, cam00.mp4 ... and poses_bounds.npy, with points3D.ply and a
 cameras.json of exact cameras (OpenCV, camera from world, metres). Of it, only videos are handed to `tcgs prepare`, each

@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
-#SBATCH --job-name=tcgs-reproduce
+#SBATCH --job-name=tcgs-lab
 #SBATCH --gpus=1
 # One task of an array runs one line of a file of commands:
-#   tcgs reproduce ablation --data CAPTURES --out OUT --print-commands > commands.txt
-#   sbatch --array=1-$(wc -l < commands.txt) scripts/reproduce_slurm.sh commands.txt
+#   cargo run --release -p tcgs-lab -- ablation --data CAPTURES --out OUT --print-commands > commands.txt
+#   sbatch --array=1-$(wc -l < commands.txt) lab/scripts/slurm.sh commands.txt
 set -euo pipefail
 if (($# != 1)) || [[ ! -r $1 ]]; then
     echo "${1:-commands}: not a file that can be read, expected the commands that --print-commands prints" >&2

@@ -4,9 +4,9 @@ use rayon::prelude::*;
 use tcgs_codec::select_keypoints;
 
 use super::{Findings, above_rounding, along, squared_error};
-use crate::figure::Figure;
-use crate::report::plot::{Axes, Line};
-use crate::table::{self, Cell, Sheet};
+use crate::tables::figure::Figure;
+use crate::tables::table::{self, Cell, Sheet};
+use tcgs_report::plot::{Axes, Line};
 
 /// Shares of the Gaussians by path, the slowest first.
 const GROUPS: [(&str, f64, f64); 3] =

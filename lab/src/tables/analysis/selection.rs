@@ -4,9 +4,9 @@ use rayon::prelude::*;
 use tcgs_codec::select_keypoints;
 
 use super::{Findings, above_rounding, along, cubic, squared_error};
-use crate::figure::Figure;
-use crate::report::plot::{Axes, Line};
-use crate::table::{self, Cell, Sheet};
+use crate::tables::figure::Figure;
+use crate::tables::table::{self, Cell, Sheet};
+use tcgs_report::plot::{Axes, Line};
 
 /// Mean keypoints per track at which the methods are compared.
 const BUDGETS: [f64; 9] = [2.25, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 12.0, 20.0];

@@ -163,27 +163,10 @@ fn pictures_survive_as_data_uris() {
     let sizes: Vec<(u32, u32)> = uris
         .iter()
         .map(|uri| {
-            let decoded = image::load_from_memory(&decode_base64(uri)).unwrap();
+            let decoded = image::load_from_memory(&BASE64_STANDARD.decode(uri).unwrap()).unwrap();
             (decoded.width(), decoded.height())
         })
         .collect();
     assert_eq!(sizes, [(128, 96), (127, 96), (256, 96)]);
     assert_eq!(page.matches("<figure class=\"wide\">").count(), 1);
-}
-
-#[test]
-fn base64_matches_the_standard_examples() {
-    for (bytes, text) in
-        [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foob", "Zm9vYg=="), ("foobar", "Zm9vYmFy")]
-    {
-        assert_eq!(base64(bytes.as_bytes()), text); // RFC 4648, §10
-        assert_eq!(decode_base64(text), bytes.as_bytes());
-    }
-}
-
-fn decode_base64(text: &str) -> Vec<u8> {
-    const DIGITS: &str = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let digits: Vec<u32> = text.trim_end_matches('=').chars().map(|c| DIGITS.find(c).unwrap() as u32).collect();
-    let bits: Vec<u32> = digits.iter().flat_map(|d| (0..6).rev().map(move |i| d >> i & 1)).collect();
-    bits.chunks_exact(8).map(|byte| byte.iter().fold(0, |n, bit| n << 1 | *bit as u8)).collect()
 }

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Compares .tcgs with .4dgs files of one run: bytes at equal PSNR, and the time to decode all timesteps.
 
-    scripts/compare_with_4dgs.py RUN CAPTURE OUT [--rounds 3]
+    lab/scripts/compare_with_4dgs.py RUN CAPTURE OUT [--rounds 3]
 
 .4dgs (Apache-2.0; PyPI `fourdgs`, crates.io `fourdgs`) is the peer because it is an open format of dynamic Gaussians with a
 writer of its own. Both hold the same floats: those of the run that its masks keep. `.tcgs` files have the qualities -3 to 2 of
@@ -40,7 +40,7 @@ def arguments():
     parser.add_argument("capture", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--rounds", type=int, default=3, help="turns of decoding [default: 3]")
-    parser.add_argument("--tcgs", type=Path, default=Path(__file__).resolve().parent.parent / "target/release/tcgs")
+    parser.add_argument("--tcgs", type=Path, default=Path(__file__).resolve().parents[2] / "target/release/tcgs")
     parser.add_argument("--peer", action="store_true", help=argparse.SUPPRESS)  # this script, inside of the environment
     return parser.parse_args()
 

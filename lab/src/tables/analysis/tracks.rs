@@ -5,9 +5,9 @@ use tcgs_codec::select_keypoints;
 use tcgs_core::{Attribute, DynamicGaussians};
 
 use super::{Findings, squared_error, tracks_of};
-use crate::figure::Figure;
-use crate::report::plot::{Axes, Line};
-use crate::table::{self, Cell, Sheet};
+use crate::tables::figure::Figure;
+use crate::tables::table::{self, Cell, Sheet};
+use tcgs_report::plot::{Axes, Line};
 
 /// The tolerance of the paper's figures.
 const MAX_MSE: f32 = 1e-6;

@@ -2,18 +2,17 @@
 
 use std::path::PathBuf;
 
+use anyhow::Context;
 use image::{Rgb, RgbImage};
 use tcgs_capture::{Capture, Split};
 use tcgs_core::Image;
-use tcgs_pipeline::{OpenScene, OpenSettings};
-use tcgs_render::{DrawAny, RenderSettings};
+use tcgs_pipeline::{Backend, OpenScene, OpenSettings};
+use tcgs_render::RenderSettings;
+use tcgs_report::{Picture, png};
 
 use super::execute::Workplace;
 use super::plan::TablePlan;
-use crate::ReproduceError;
-use crate::error::{file, wrong_input};
-use crate::report::Picture;
-use crate::report::png;
+use crate::error::wrong_input;
 
 /// Timesteps shown: the first, the middle and the last.
 const SHOWN: usize = 3;
@@ -23,11 +22,8 @@ const GAP: u32 = 4;
 const WIDTH: u32 = 320;
 
 /// One grid per scene, with one row per timestep, ground truth first. Also returns the file for each.
-pub fn grids(
-    plan: &TablePlan,
-    place: &Workplace,
-    renderer: &DrawAny,
-) -> Result<Vec<(PathBuf, Picture)>, ReproduceError> {
+pub fn grids(plan: &TablePlan, place: &Workplace) -> anyhow::Result<Vec<(PathBuf, Picture)>> {
+    let renderer = Backend::Cpu.renderer();
     let mut grids = Vec::new();
     for scene in &plan.scenes {
         let capture = Capture::open(&place.capture(scene))?;
@@ -36,10 +32,11 @@ pub fn grids(
         let mut of = String::new();
         for row in &plan.table.rows {
             let (Some(run), Some(measure)) = (&row.run, &row.measure) else { continue };
-            let job = plan.jobs.iter().find(|job| job.scene == *scene && job.run == *run).ok_or_else(|| {
-                let problem = format!("{scene}/{run}: is a row's run and none of the plan");
-                ReproduceError::Table(problem)
-            })?;
+            let job = plan
+                .jobs
+                .iter()
+                .find(|job| job.scene == *scene && job.run == *run)
+                .with_context(|| format!("{scene}/{run}: is a row's run and none of the plan"))?;
             if place.result(job, measure)?.is_none() {
                 continue;
             }
@@ -78,7 +75,7 @@ pub fn grids(
         }
         let caption = format!("{scene}, {of}; from left to right: {}", names.join(", "));
         let name = PathBuf::from(format!("{}-{scene}.png", plan.name));
-        let png = png(&grid(&columns)).map_err(|error| file("drawing", &name)(std::io::Error::other(error)))?;
+        let png = png(&grid(&columns)).with_context(|| format!("drawing {}", name.display()))?;
         let picture = Picture { caption, png };
         grids.push((name, picture));
     }

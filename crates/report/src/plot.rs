@@ -35,14 +35,18 @@ pub struct Mark {
 /// Names of a plot's axes, and whether they are logarithmic.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Axes {
+    /// Name of the abscissa.
     pub x: String,
+    /// Name of the ordinate.
     pub y: String,
+    /// Whether the abscissa is logarithmic.
     pub log_x: bool,
+    /// Whether the ordinate is logarithmic.
     pub log_y: bool,
 }
 
 /// A horizontal bar.
-pub struct Row {
+pub(crate) struct Row {
     /// Name before the bar.
     pub name: String,
     /// Length of the bar.
@@ -243,7 +247,7 @@ pub fn standalone(svg: &str) -> String {
 /// Horizontal bars with names and values. Empty if there is none.
 ///
 /// - `log`: bar lengths are logarithmic, from a decade below the least
-pub fn rows(label: &str, bars: &[Row], log: bool) -> String {
+pub(crate) fn rows(label: &str, bars: &[Row], log: bool) -> String {
     let bars: Vec<&Row> = bars.iter().filter(|bar| bar.value.is_finite() && (bar.value > 0.0 || !log)).collect();
     let Some((least, most)) = range(bars.iter().map(|bar| bar.value)) else { return String::new() };
     let (low, high) = if log { (least.log10().floor() - 1.0, most.log10()) } else { (0.0, most) };
@@ -323,7 +327,7 @@ pub fn columns(label: &str, x_label: &str, y_label: &str, bars: &[(String, f64)]
 }
 
 /// Three digits and a prefix: `1.23 M`; below a thousand there is no prefix and a space ends the text.
-pub fn short(value: f64) -> String {
+pub(crate) fn short(value: f64) -> String {
     let prefix = ["", "k", "M", "G", "T"];
     let power = if value.abs() >= 1000.0 { ((value.abs().log10() / 3.0) as usize).min(4) } else { 0 };
     let scaled = value / 1000f64.powi(power as i32);

@@ -9,6 +9,7 @@ mod tracks;
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use anyhow::Context;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use tcgs_core::{Attribute, DynamicGaussians};
@@ -16,8 +17,7 @@ use tcgs_train::{Run, TrainedScene, mean_masks};
 
 use super::figure::Figure;
 use super::table::Sheet;
-use crate::ReproduceError;
-use crate::report::plot::Line;
+use tcgs_report::plot::Line;
 
 /// The findings of an analysis.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -34,7 +34,7 @@ pub struct Findings {
 ///
 /// - `name`: as in a table's file
 /// - `run`: the run's folder
-pub fn analyse(name: &str, run: &Path) -> Result<Value, ReproduceError> {
+pub fn analyse(name: &str, run: &Path) -> anyhow::Result<Value> {
     let run = Run::open(run)?;
     let trained = run.trained()?;
     let findings = match name {
@@ -42,10 +42,9 @@ pub fn analyse(name: &str, run: &Path) -> Result<Value, ReproduceError> {
         "selection" => selection::analyse(&foreground(&run, &trained)),
         "polynomials" => polynomials::analyse(&foreground(&run, &trained)),
         "masks" => masks::analyse(&throughout(&trained), run.config().mask.threshold),
-        _ => return Err(ReproduceError::Table(format!("{name}: no analysis of this name"))),
+        _ => anyhow::bail!("{name}: no analysis of this name"),
     };
-    serde_json::to_value(findings)
-        .map_err(|error| ReproduceError::Table(format!("the analysis {name} as JSON: {error}")))
+    serde_json::to_value(findings).with_context(|| format!("the analysis {name} as JSON"))
 }
 
 /// The scene without Gaussians that are masked over time, and whether each of the others is foreground.

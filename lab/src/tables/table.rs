@@ -5,10 +5,9 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+use tcgs_report::plot::escape;
 
 use super::plan::{Column, Row, TableLayout, TablePlan};
-use crate::ReproduceError;
-use crate::report::plot::escape;
 
 /// A block of a table.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -98,7 +97,7 @@ fn at(value: &Value, path: &str) -> Option<f64> {
 }
 
 /// The table's blocks.
-pub fn sheets(plan: &TablePlan, results: &Results) -> Result<Vec<Sheet>, ReproduceError> {
+pub fn sheets(plan: &TablePlan, results: &Results) -> Vec<Sheet> {
     let cell = |scene: &str, row: &Row, place: &str, (name, column): &(String, Column)| {
         let key = key(scene, row).filter(|key| results.contains_key(key));
         let value = key.as_ref().and_then(|key| number(column, &results[key]));
@@ -120,7 +119,7 @@ pub fn sheets(plan: &TablePlan, results: &Results) -> Result<Vec<Sheet>, Reprodu
     };
     let mut sheets = Vec::new();
     if plan.columns.is_empty() {
-        return Ok(sheets);
+        return sheets;
     }
     match plan.table.layout {
         TableLayout::Rows => {
@@ -154,7 +153,7 @@ pub fn sheets(plan: &TablePlan, results: &Results) -> Result<Vec<Sheet>, Reprodu
             }
         }
     }
-    Ok(sheets)
+    sheets
 }
 
 /// The table for people.
@@ -318,7 +317,7 @@ pub fn json(plan: &TablePlan, sheets: &[Sheet], results: &Results, commit: &str)
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plan::{Size, plan};
+    use crate::tables::plan::{Size, plan};
 
     fn result() -> Value {
         json!({
@@ -351,7 +350,7 @@ mod tests {
         let scenes = ["basketball".to_owned()];
         let plan = plan("ablation", Some(&scenes), Size::Full, &[]).unwrap();
         let results = Results::from([("basketball/tc3dgs/final".into(), result())]);
-        let sheets = sheets(&plan, &results).unwrap();
+        let sheets = sheets(&plan, &results);
         assert_eq!((sheets.len(), sheets[0].lines.len()), (1, plan.table.rows.len()));
         let text = text("T", &plan.table.notes, &sheets);
         // PSNR, the authors' PSNR, SSIM, Gaussians, storage, file, FPS and seconds; a number that was not measured is
@@ -374,7 +373,7 @@ mod tests {
         let keys: Vec<String> = plan.scenes.iter().map(|scene| format!("{scene}/tc3dgs/final")).collect();
         let mut results: Results = keys.iter().map(|key| (key.clone(), result())).collect();
         let mean = |results: &Results| {
-            let sheets = sheets(&plan, results).unwrap();
+            let sheets = sheets(&plan, results);
             let line = sheets[0].lines.iter().find(|line| line.label == "TC3DGS").unwrap();
             (line.cells[0].value, line.cells[0].paper, line.cells[0].sources.len(), line.cells[2].value)
         };

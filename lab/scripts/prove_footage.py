@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """What do the steps of `tcgs prepare` on raw videos gain or lose?
 
-    scripts/prove_footage.py colors KITCHEN OUT      cameras of different exposure and white balance, evened out or not
-    scripts/prove_footage.py videos PANOPTIC OUT     images of a capture handed over as videos with a calibration
-    scripts/prove_footage.py masks FOOTAGE OUT       trained with masks of what moves, and without
+    lab/scripts/prove_footage.py colors KITCHEN OUT      cameras of different exposure and white balance, evened out or not
+    lab/scripts/prove_footage.py videos PANOPTIC OUT     images of a capture handed over as videos with a calibration
+    lab/scripts/prove_footage.py masks FOOTAGE OUT       trained with masks of what moves, and without
 
 Options: [--tcgs target/release/tcgs] [--frames 4] [--downscale 8] [--iterations 400,100] [--hold-out CAMERA]
 [--prepare="--to 0.6 --width 200"], the last for `masks` alone.

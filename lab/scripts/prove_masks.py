@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """How much does a training lose with the masks that `tcgs prepare` makes?
 
-    scripts/prove_masks.py CAPTURE OUT [--tcgs target/release/tcgs] [--frames 5] [--downscale 2] [--iterations 600,150]
+    lab/scripts/prove_masks.py CAPTURE OUT [--tcgs target/release/tcgs] [--frames 5] [--downscale 2] [--iterations 600,150]
 
 CAPTURE is a folder in the layout of Panoptic Sports with masks in seg/. Three captures are made of it: with the given masks,
 with masks that are made of the images alone, and without any. Each gets points from `tcgs prepare`, is trained with the same

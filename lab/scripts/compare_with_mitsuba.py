@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Draws one scene with tcgs and with Mitsuba 3 on the same CPU cores, and compares times and pictures.
 
-    scripts/compare_with_mitsuba.py OUT [--gaussians 30000] [--size 640x360] [--threads 2] [--rounds 3]
+    lab/scripts/compare_with_mitsuba.py OUT [--gaussians 30000] [--size 640x360] [--threads 2] [--rounds 3]
 
 Mitsuba 3 (Jakob et al. 2022, BSD-3) is the peer because it draws and differentiates 3D Gaussians without CUDA: its shape
 `ellipsoids` and its integrator `volprim_rf_basic` compile to vectorised code by LLVM, and run on all cores. It traces a ray
@@ -50,7 +50,7 @@ def arguments():
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--rounds", type=int, default=3, help="turns of both programs [default: 3]")
     parser.add_argument("--iterations", type=int, default=5, help="times in each turn [default: 5]")
-    parser.add_argument("--tcgs", type=Path, default=Path(__file__).resolve().parent.parent / "target/release/tcgs")
+    parser.add_argument("--tcgs", type=Path, default=Path(__file__).resolve().parents[2] / "target/release/tcgs")
     parser.add_argument("--keep-packages", action="store_true")
     parser.add_argument("--peer", action="store_true", help=argparse.SUPPRESS)  # this script, inside of the environment
     return parser.parse_args()

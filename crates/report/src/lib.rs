@@ -1,13 +1,21 @@
-//! Pages of results: one HTML file each, without scripts or external resources. Holds the page of one run ([`html`]),
-//! and the parts that pages of tables share with it.
+//! Pages of results: one HTML file each, without scripts or external resources.
 //!
-//! What lives here: the choice and order of the page's figures. `plot` draws them.
+//! [`html`] makes the page of one run. [`document`], [`section`] and [`pictures`] make other pages in the same style.
+//! What lives here: the choice and order of a page's figures; [`plot`] draws them. What does not: training, measuring,
+//! and any model. The command line and the laboratory (`lab/`) share this crate.
+//!
+//! ```
+//! let report = tcgs_report::Report { title: "a run".into(), ..Default::default() };
+//! assert!(tcgs_report::html(&report).contains("<h1>a run</h1>"));
+//! ```
 
 pub mod plot;
 
 use std::fmt::Write;
 use std::io::Cursor;
 
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
 use image::{ImageFormat, RgbImage};
 
 use plot::{Axes, Line, Row, columns, escape, lines, rows, short};
@@ -209,7 +217,7 @@ pub fn pictures(pictures: &[Picture]) -> String {
     let mut grid = String::from("<div class=\"grid\">");
     for picture in pictures {
         let caption = escape(&picture.caption);
-        let data = base64(&picture.png);
+        let data = BASE64_STANDARD.encode(&picture.png);
         let class = if is_wide(&picture.png) { " class=\"wide\"" } else { "" };
         let _ = write!(
             grid,
@@ -242,20 +250,6 @@ fn bytes(bytes: u64) -> String {
 
 fn decimal(value: Option<f64>, digits: usize) -> String {
     value.filter(|value| value.is_finite()).map_or_else(|| "–".into(), |value| format!("{value:.digits$}"))
-}
-
-/// Base64 with padding (RFC 4648).
-fn base64(bytes: &[u8]) -> String {
-    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
-    for chunk in bytes.chunks(3) {
-        let bits = (0..3).fold(0u32, |bits, i| bits << 8 | u32::from(chunk.get(i).copied().unwrap_or(0)));
-        for i in 0..4 {
-            let digit = DIGITS[(bits >> (18 - 6 * i)) as usize & 63];
-            text.push(if i <= chunk.len() { char::from(digit) } else { '=' });
-        }
-    }
-    text
 }
 
 #[cfg(test)]

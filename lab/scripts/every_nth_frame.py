@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Makes a capture that has every N-th frame of another, as if its cameras were slower: what moves goes N times as far.
 
-    scripts/every_nth_frame.py CAPTURE N OUT
+    lab/scripts/every_nth_frame.py CAPTURE N OUT
 
 CAPTURE and OUT are folders of the layout of Panoptic Sports (train_meta.json, test_meta.json, ims, seg, init_pt_cld.npz),
 which `tcgs demo` writes, too. OUT has links to the images of CAPTURE. Needs Python 3.8, and no packages.

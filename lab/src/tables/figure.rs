@@ -4,14 +4,13 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use tcgs_report::plot::{self, Axes, Line, Mark, escape};
+use tcgs_report::{Picture, document, pictures, section};
 
 use super::analysis::Findings;
 use super::plan::{Plot, PlotKind, Row, TableLayout, TablePlan};
 use super::table::{self, Results, Sheet, key, number};
-use crate::ReproduceError;
 use crate::error::wrong_input;
-use crate::report::plot::{self, Axes, Line, Mark, escape};
-use crate::report::{Picture, document, pictures, section};
 
 /// A plot before it is drawn.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -54,8 +53,8 @@ pub struct Shown {
 }
 
 /// Blocks and plots of a table; renders come from elsewhere.
-pub fn show(plan: &TablePlan, results: &Results) -> Result<Shown, ReproduceError> {
-    let mut shown = Shown { sheets: table::sheets(plan, results)?, figures: Vec::new(), pictures: Vec::new() };
+pub fn show(plan: &TablePlan, results: &Results) -> anyhow::Result<Shown> {
+    let mut shown = Shown { sheets: table::sheets(plan, results), figures: Vec::new(), pictures: Vec::new() };
     for plot in &plan.table.plots {
         shown.figures.extend(figures(plan, plot, results)?);
     }
@@ -87,7 +86,7 @@ pub fn show(plan: &TablePlan, results: &Results) -> Result<Shown, ReproduceError
     Ok(shown)
 }
 
-fn figures(plan: &TablePlan, plot: &Plot, results: &Results) -> Result<Vec<Figure>, ReproduceError> {
+fn figures(plan: &TablePlan, plot: &Plot, results: &Results) -> anyhow::Result<Vec<Figure>> {
     let column = |name: &Option<String>| plan.columns.iter().find(|(known, _)| Some(known) == name.as_ref());
     let mut figures = Vec::new();
     let (x, y) = (column(&plot.x), column(&plot.y));

@@ -3,8 +3,8 @@
 use tcgs_core::sigmoid;
 
 use super::Findings;
-use crate::figure::Figure;
-use crate::report::plot::{Axes, Line};
+use crate::tables::figure::Figure;
+use tcgs_report::plot::{Axes, Line};
 
 /// Curves of each kind.
 const SHOWN: usize = 4;

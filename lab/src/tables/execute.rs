@@ -1,4 +1,4 @@
-//! Runs the missing steps of a plan. Each step is a process of this program, with a command that a person can type.
+//! Runs the missing steps of a plan. Each step is a command of `tcgs` that a person can type.
 //!
 //! `OUT/runs/SCENE/RUN/` holds `train/`, a run folder; `train.json`, its result; `steps.jsonl`, a line for every start
 //! of training; and a folder for each measurement. `result.json` in it is written last: if it exists, the measurement
@@ -7,20 +7,19 @@
 use std::fs::{self, File, TryLockError};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitStatus, Stdio};
+use std::process::{Command, Stdio};
 use std::time::Instant;
 
+use anyhow::{Context, bail};
 use serde_json::{Map, Value, json};
 use tcgs_interchange::{Existing, write_whole};
-use tcgs_pipeline::PipelineError;
 
 use super::analysis;
 use super::plan::{Job, Measure};
-use crate::ReproduceError;
-use crate::error::{file, wrong_input};
+use crate::COMMAND;
+use crate::error::wrong_input;
+use crate::program::{Program, run as run_step};
 
-/// Exit code of a step that was stopped by a signal.
-const STOPPED: i32 = 130;
 /// Name of the result in a measurement's folder.
 const RESULT: &str = "result.json";
 
@@ -31,23 +30,16 @@ pub struct Workplace {
     pub data: PathBuf,
     /// Folder for all output.
     pub out: PathBuf,
-    /// Arguments of `tcgs train` and `tcgs eval` that choose CPU or GPU; results do not depend on them.
+    /// Arguments of `tcgs train` and `tcgs eval` that choose CPU or GPU.
     pub backend: Vec<String>,
-    /// Threads of every step; results do not depend on it. `None`: as many as cores.
-    pub threads: Option<usize>,
+    /// Arguments of every step that choose its threads; results do not depend on them.
+    pub threads: Vec<String>,
     /// Whether to repeat runs that were made by other arguments.
     pub force: bool,
-    /// The command that a person types for this table, without `--only`.
+    /// The arguments that a person types for this table, without `--only`.
     pub command: Vec<String>,
-    /// The command line's program, which runs every step.
-    pub program: PathBuf,
-    /// Runs a step to its end; [`io::ErrorKind::Interrupted`] if no further step may begin. A step is a process of its
-    /// own, so the function may have to pass signals on.
-    pub run: fn(&mut Command) -> io::Result<ExitStatus>,
-    /// Commit of the program; results name it.
-    pub commit: &'static str,
-    /// Receives a line for every step and wait, for people.
-    pub tell: fn(&str),
+    /// The program that runs every step.
+    pub program: Program,
 }
 
 impl Workplace {
@@ -75,12 +67,12 @@ impl Workplace {
     ///
     /// # Errors
     /// If it was made by other arguments.
-    pub fn result(&self, job: &Job, measure: &str) -> Result<Option<Value>, ReproduceError> {
+    pub fn result(&self, job: &Job, measure: &str) -> anyhow::Result<Option<Value>> {
         let path = self.folder(job).join(measure).join(RESULT);
         if !path.is_file() {
             return Ok(None);
         }
-        let text = fs::read_to_string(&path).map_err(file("reading", &path))?;
+        let text = fs::read_to_string(&path).with_context(|| format!("reading {}", path.display()))?;
         let result: Value = serde_json::from_str(&text)
             .map_err(|error| wrong_input(format!("{}: {error}, expected a result of this command", path.display())))?;
         let wanted = json!({ "train": job.arguments, "measure": arguments_of(&job.measures[measure]) });
@@ -90,11 +82,11 @@ impl Workplace {
         if self.force {
             return Ok(None);
         }
-        Err(other_arguments(path, &result["arguments"], wanted))
+        Err(other_arguments(&path, &result["arguments"], &wanted))
     }
 
     /// Whether all measurements of a job are done.
-    pub fn is_done(&self, job: &Job) -> Result<bool, ReproduceError> {
+    pub fn is_done(&self, job: &Job) -> anyhow::Result<bool> {
         for measure in job.measures.keys() {
             if self.result(job, measure)?.is_none() {
                 return Ok(false);
@@ -108,16 +100,17 @@ fn arguments_of(measure: &Measure) -> Value {
     json!({ "export": measure.export, "compress": measure.compress, "analysis": measure.analysis })
 }
 
-fn other_arguments(path: PathBuf, found: &Value, expected: Value) -> ReproduceError {
-    ReproduceError::OtherArguments { path, found: Box::new(found.clone()), expected: Box::new(expected) }
+fn other_arguments(path: &Path, found: &Value, expected: &Value) -> anyhow::Error {
+    let problem = format!("was made by the arguments {found}, expected {expected}");
+    wrong_input(format!("{}: {problem}; choose another --out, or --force to make it anew", path.display()))
 }
 
 /// Runs steps without a result, one training after another. Trainings that another process works on come last, and are
 /// waited for.
 ///
 /// # Errors
-/// [`ReproduceError`] if a step fails, or if there are results by other arguments. Finished steps stay finished.
-pub fn execute(place: &Workplace, jobs: &[Job]) -> Result<(), ReproduceError> {
+/// If a step fails, or if there are results by other arguments. Finished steps stay finished.
+pub fn execute(place: &Workplace, jobs: &[Job]) -> anyhow::Result<()> {
     let mut missing = Vec::new();
     for job in jobs {
         if !place.is_done(job)? {
@@ -131,7 +124,7 @@ pub fn execute(place: &Workplace, jobs: &[Job]) -> Result<(), ReproduceError> {
     for wait in [false, true] {
         let round = if wait { std::mem::take(&mut taken) } else { missing.clone() };
         for job in round {
-            let Some(_lock) = lock(&place.folder(job), wait, place.tell)? else {
+            let Some(_lock) = lock(&place.folder(job), wait)? else {
                 taken.push(job);
                 continue;
             };
@@ -140,7 +133,7 @@ pub fn execute(place: &Workplace, jobs: &[Job]) -> Result<(), ReproduceError> {
                 let each = begin.elapsed().as_secs_f64() / f64::from(done.max(1));
                 let left = (total - done as usize) as f64 * each;
                 let left = if done == 0 { String::new() } else { format!(", about {} left", show_seconds(left)) };
-                (place.tell)(&format!("run {} of {total}: {}/{}{left}", done + 1, job.scene, job.run));
+                eprintln!("run {} of {total}: {}{left}", done + 1, job.name());
                 run(place, job)?;
             }
             done += 1;
@@ -158,15 +151,15 @@ fn show_seconds(seconds: f64) -> String {
 }
 
 /// Locks a folder until the file is dropped; none if another process holds the lock and `wait` is false.
-fn lock(folder: &Path, wait: bool, tell: fn(&str)) -> Result<Option<File>, ReproduceError> {
+fn lock(folder: &Path, wait: bool) -> anyhow::Result<Option<File>> {
     let path = folder.join("lock");
-    fs::create_dir_all(folder).map_err(file("creating", folder))?;
-    let lock = File::create(&path).map_err(file("writing", &path))?;
+    fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
+    let lock = File::create(&path).with_context(|| format!("writing {}", path.display()))?;
     match lock.try_lock() {
         Err(TryLockError::WouldBlock) if !wait => return Ok(None),
         Err(TryLockError::WouldBlock) => {
-            tell(&format!("{}: waiting for the process that is at it", folder.display()));
-            lock.lock().map_err(file("locking", &path))?;
+            eprintln!("{}: waiting for the process that is at it", folder.display());
+            lock.lock().with_context(|| format!("locking {}", path.display()))?;
         }
         // Some network drives do not support locks.
         _ => {}
@@ -174,7 +167,7 @@ fn lock(folder: &Path, wait: bool, tell: fn(&str)) -> Result<Option<File>, Repro
     Ok(Some(lock))
 }
 
-fn run(place: &Workplace, job: &Job) -> Result<(), ReproduceError> {
+fn run(place: &Workplace, job: &Job) -> anyhow::Result<()> {
     let folder = place.folder(job);
     let train = train(place, job, &folder)?;
     for (name, measure) in &job.measures {
@@ -192,21 +185,21 @@ struct Trained {
     steps: Vec<Value>,
 }
 
-fn train(place: &Workplace, job: &Job, folder: &Path) -> Result<Trained, ReproduceError> {
+fn train(place: &Workplace, job: &Job, folder: &Path) -> anyhow::Result<Trained> {
     let (run, json_path, log) = (folder.join("train"), folder.join("train.json"), folder.join("steps.jsonl"));
     let mut steps = read_lines(&log)?;
     let other = steps.iter().find(|step| step["arguments"] != json!(job.arguments));
     if let Some(other) = other
         && !place.force
     {
-        return Err(other_arguments(log, &other["arguments"], json!(job.arguments)));
+        return Err(other_arguments(&log, &other["arguments"], &json!(job.arguments)));
     }
     if other.is_some() {
         steps.clear();
         // Removes the run before its log: after an interruption the log still tells by which arguments the run was
         // made.
         if run.exists() {
-            fs::remove_dir_all(&run).map_err(file("removing", &run))?;
+            fs::remove_dir_all(&run).with_context(|| format!("removing {}", run.display()))?;
         }
         for path in [&json_path, &log] {
             remove(path)?;
@@ -217,8 +210,8 @@ fn train(place: &Workplace, job: &Job, folder: &Path) -> Result<Trained, Reprodu
             vec!["train".into(), argument(&place.capture(&job.scene))?, "--out".into(), argument(&run)?];
         arguments.extend_from_slice(&job.arguments);
         // The command that begins the training also resumes it.
-        let command = command_line(&arguments);
-        let step = json!({ "command": command, "arguments": job.arguments, "commit": place.commit });
+        let command = command_line("tcgs", &arguments);
+        let step = json!({ "command": command, "arguments": job.arguments, "commit": place.program.commit });
         append_line(&log, &step)?;
         steps.push(step);
         arguments.extend(["--resume".into(), "--json".into(), argument(&json_path)?]);
@@ -234,24 +227,18 @@ fn train(place: &Workplace, job: &Job, folder: &Path) -> Result<Trained, Reprodu
     Ok(Trained { result: read_json(&json_path)?, steps })
 }
 
-fn measure_run(
-    place: &Workplace,
-    job: &Job,
-    name: &str,
-    measure: &Measure,
-    train: &Trained,
-) -> Result<(), ReproduceError> {
+fn measure_run(place: &Workplace, job: &Job, name: &str, measure: &Measure, train: &Trained) -> anyhow::Result<()> {
     let folder = place.folder(job);
     let (run, here) = (folder.join("train"), folder.join(name));
-    fs::create_dir_all(&here).map_err(file("creating", &here))?;
+    fs::create_dir_all(&here).with_context(|| format!("creating {}", here.display()))?;
     remove(&here.join(RESULT))?;
     let mut result = Map::new();
     let mut commands: Vec<Value> = train.steps.last().map(|step| step["command"].clone()).into_iter().collect();
     let mut seconds = Map::new();
-    let mut step = |step: &str, arguments: Vec<String>, backend: bool| -> Result<(), ReproduceError> {
+    let mut step = |step: &str, arguments: Vec<String>, backend: bool| -> anyhow::Result<()> {
         let json_path = here.join(format!("{step}.json"));
         let mut arguments: Vec<String> = std::iter::once(step.to_owned()).chain(arguments).collect();
-        let command = command_line(&arguments);
+        let command = command_line("tcgs", &arguments);
         arguments.extend(["--json".into(), argument(&json_path)?, "--force".into()]);
         if backend {
             arguments.extend_from_slice(&place.backend);
@@ -287,12 +274,12 @@ fn measure_run(
         let begin = Instant::now();
         result.insert("analysis".into(), analysis::analyse(analysis, &run)?);
         seconds.insert("analysis".into(), json!(begin.elapsed().as_secs_f64()));
-        let only = ["--only".into(), format!("{}/{}", job.scene, job.run)];
-        commands.push(json!(command_line(&[place.command.as_slice(), &only].concat())));
+        let only = ["--only".into(), job.name()];
+        commands.push(json!(command_line(COMMAND, &[place.command.as_slice(), &only].concat())));
     }
     result.insert("derived".into(), derived(&result));
     let mut commits: Vec<&str> = train.steps.iter().filter_map(|step| step["commit"].as_str()).collect();
-    commits.push(place.commit);
+    commits.push(&place.program.commit);
     commits.dedup();
     let about = json!({
         "scene": job.scene,
@@ -324,32 +311,25 @@ fn derived(result: &Map<String, Value>) -> Value {
     if values > 0.0 { json!({ "compression": 32.0 * values / bits }) } else { json!({}) }
 }
 
-/// Runs this program with other arguments; its output goes to standard error.
-fn step_of(place: &Workplace, mut arguments: Vec<String>, command: &str, advice: &str) -> Result<(), ReproduceError> {
-    if let Some(threads) = place.threads {
-        arguments.extend(["--threads".into(), threads.to_string()]);
-    }
-    (place.tell)(command);
-    let mut step = Command::new(&place.program);
-    step.args(&arguments).stdin(Stdio::null()).stdout(Stdio::from(io::stderr()));
-    let status = match (place.run)(&mut step) {
-        Err(error) if error.kind() == io::ErrorKind::Interrupted => return Err(PipelineError::Stopped.into()),
-        status => status.map_err(file("starting", &place.program))?,
-    };
-    let failed = |problem| ReproduceError::Step { command: command.into(), problem };
-    match status.code() {
+/// Runs the program; its output goes to standard error.
+fn step_of(place: &Workplace, arguments: Vec<String>, command: &str, advice: &str) -> anyhow::Result<()> {
+    eprintln!("{command}");
+    let mut step = Command::new(&place.program.path);
+    step.args(&arguments).args(&place.threads).stdin(Stdio::null()).stdout(Stdio::from(io::stderr()));
+    match run_step(&mut step)?.code() {
         Some(0) => Ok(()),
-        Some(STOPPED) => Err(PipelineError::Stopped.into()),
         Some(2) => Err(wrong_input(format!("{command}: wrong input, see the line above, expected it to be right"))),
-        Some(code) => Err(failed(format!("ended with exit code {code}, see the line above; {advice}"))),
-        None => Err(failed(format!("was killed; {advice}"))),
+        Some(code) => bail!("{command}: ended with exit code {code}, see the line above; {advice}"),
+        None => bail!("{command}: was killed; {advice}"),
     }
 }
 
 /// A command for a shell, and for a person.
-pub fn command_line(arguments: &[String]) -> String {
+///
+/// - `program`: its words, as a shell takes them
+pub fn command_line(program: &str, arguments: &[String]) -> String {
     let quoted = arguments.iter().map(|argument| quoted(argument));
-    std::iter::once("tcgs".to_owned()).chain(quoted).collect::<Vec<_>>().join(" ")
+    std::iter::once(program.to_owned()).chain(quoted).collect::<Vec<_>>().join(" ")
 }
 
 /// A word for a shell.
@@ -362,39 +342,44 @@ pub fn quoted(word: &str) -> String {
 }
 
 /// A path as an argument.
-pub fn argument(path: &Path) -> Result<String, ReproduceError> {
+pub fn argument(path: &Path) -> anyhow::Result<String> {
     let text = path.to_str().map(str::to_owned);
     text.ok_or_else(|| wrong_input(format!("{}: not a name in UTF-8, expected one", path.display())))
 }
 
-fn read_json(path: &Path) -> Result<Value, ReproduceError> {
-    let text = fs::read_to_string(path).map_err(file("reading", path))?;
-    serde_json::from_str(&text).map_err(file("reading", path))
+fn read_json(path: &Path) -> anyhow::Result<Value> {
+    let text = fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
+    serde_json::from_str(&text).with_context(|| format!("reading {}", path.display()))
 }
 
-fn read_lines(path: &Path) -> Result<Vec<Value>, ReproduceError> {
+fn read_lines(path: &Path) -> anyhow::Result<Vec<Value>> {
     if !path.exists() {
         return Ok(Vec::new());
     }
-    let text = fs::read_to_string(path).map_err(file("reading", path))?;
+    let text = fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
     // A line cut short belongs to a step that never began.
     Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
 }
 
-fn append_line(path: &Path, line: &Value) -> Result<(), ReproduceError> {
-    let mut log = fs::OpenOptions::new().create(true).append(true).open(path).map_err(file("opening", path))?;
-    log.write_all(format!("{line}\n").as_bytes()).map_err(file("writing", path))
+fn append_line(path: &Path, line: &Value) -> anyhow::Result<()> {
+    let mut log = fs::OpenOptions::new()
+        .create(true)
+        .append(true)
+        .open(path)
+        .with_context(|| format!("opening {}", path.display()))?;
+    log.write_all(format!("{line}\n").as_bytes()).with_context(|| format!("writing {}", path.display()))
 }
 
 /// Writes a file whole or not at all, and replaces an existing one.
-pub(crate) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), ReproduceError> {
-    write_whole(path, Existing::Replace, |into| into.write_all(bytes)).map_err(file("writing", path))
+pub fn write_file(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    write_whole(path, Existing::Replace, |into| into.write_all(bytes))
+        .with_context(|| format!("writing {}", path.display()))
 }
 
-fn remove(path: &Path) -> Result<(), ReproduceError> {
+fn remove(path: &Path) -> anyhow::Result<()> {
     match fs::remove_file(path) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(file("removing", path)(error)),
-        _ => Ok(()),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+        removed => removed.with_context(|| format!("removing {}", path.display())),
     }
 }
 
@@ -405,18 +390,18 @@ mod tests {
     #[test]
     fn commands_can_be_typed() {
         let words = ["train", "my data", "--set", "a=1", "it's", "{x}", ""].map(str::to_owned);
-        assert_eq!(command_line(&words), r"tcgs train 'my data' --set a=1 'it'\''s' '{x}' ''");
+        assert_eq!(command_line("tcgs", &words), r"tcgs train 'my data' --set a=1 'it'\''s' '{x}' ''");
     }
 
     #[test]
     fn a_run_has_one_process_at_a_time() {
         let folder = tempfile::tempdir().unwrap();
         let place = folder.path().join("runs/a/b");
-        let first = lock(&place, false, |_| ()).unwrap();
-        assert!(first.is_some() && lock(&place, false, |_| ()).unwrap().is_none());
+        let first = lock(&place, false).unwrap();
+        assert!(first.is_some() && lock(&place, false).unwrap().is_none());
         let waiting = std::thread::spawn({
             let place = place.clone();
-            move || lock(&place, true, |_| ()).unwrap().is_some()
+            move || lock(&place, true).unwrap().is_some()
         });
         drop(first);
         assert!(waiting.join().unwrap());

@@ -1,40 +1,40 @@
-//! Definitions of the paper's tables: files beside this one, read once and checked.
+//! Definitions of the paper's tables: files of `lab/tables`, read once and checked.
 //!
 //! What lives here: the words of those files, and their meaning for the requested scenes and size. Nothing here runs
 //! anything.
 
 use std::collections::BTreeMap;
 
+use anyhow::anyhow;
 use serde::Deserialize;
 
-use crate::ReproduceError;
 use crate::error::wrong_input;
 
 /// All tables: name and file.
 const TABLES: [(&str, &str); 14] = [
-    ("main", include_str!("tables/main.toml")),
-    ("panoptic", include_str!("tables/panoptic.toml")),
-    ("n3dv", include_str!("tables/n3dv.toml")),
-    ("technicolor", include_str!("tables/technicolor.toml")),
-    ("ablation", include_str!("tables/ablation.toml")),
-    ("mask-grid", include_str!("tables/mask-grid.toml")),
-    ("mask-values", include_str!("tables/mask-values.toml")),
-    ("bits", include_str!("tables/bits.toml")),
-    ("keypoints", include_str!("tables/keypoints.toml")),
-    ("tolerance", include_str!("tables/tolerance.toml")),
-    ("selection", include_str!("tables/selection.toml")),
-    ("polynomials", include_str!("tables/polynomials.toml")),
-    ("pictures", include_str!("tables/pictures.toml")),
-    ("departures", include_str!("tables/departures.toml")),
+    ("main", include_str!("../../tables/main.toml")),
+    ("panoptic", include_str!("../../tables/panoptic.toml")),
+    ("n3dv", include_str!("../../tables/n3dv.toml")),
+    ("technicolor", include_str!("../../tables/technicolor.toml")),
+    ("ablation", include_str!("../../tables/ablation.toml")),
+    ("mask-grid", include_str!("../../tables/mask-grid.toml")),
+    ("mask-values", include_str!("../../tables/mask-values.toml")),
+    ("bits", include_str!("../../tables/bits.toml")),
+    ("keypoints", include_str!("../../tables/keypoints.toml")),
+    ("tolerance", include_str!("../../tables/tolerance.toml")),
+    ("selection", include_str!("../../tables/selection.toml")),
+    ("polynomials", include_str!("../../tables/polynomials.toml")),
+    ("pictures", include_str!("../../tables/pictures.toml")),
+    ("departures", include_str!("../../tables/departures.toml")),
 ];
-const SHARED: &str = include_str!("tables/shared.toml");
+const SHARED: &str = include_str!("../../tables/shared.toml");
 
-/// Number of frames and iterations, and image size.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Length and data of the training.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Size {
-    /// The paper's frames and schedule.
+    /// The paper's frames and schedule
     Full,
-    /// Few frames and a short schedule, which two cores train in about a quarter of an hour.
+    /// About a quarter of an hour of training on two cores
     Small,
 }
 
@@ -195,7 +195,7 @@ pub enum PlotKind {
 /// A training at one scene with all its measurements.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Job {
-    /// Name of the scene, and of its capture's folder below [`Workplace::data`](crate::Workplace::data).
+    /// Name of the scene, and of its capture's folder below `Workplace::data`.
     pub scene: String,
     /// Name of the training.
     pub run: String,
@@ -224,18 +224,17 @@ pub struct TablePlan {
 /// All tables with their names.
 ///
 /// # Errors
-/// [`ReproduceError::Table`] if a file of this crate cannot be parsed, which its tests rule out.
-pub fn tables() -> Result<Vec<(&'static str, Table)>, ReproduceError> {
+/// If a file cannot be parsed, which tests rule out.
+pub fn tables() -> anyhow::Result<Vec<(&'static str, Table)>> {
     TABLES.iter().map(|&(name, text)| Ok((name, parse(name, text)?))).collect()
 }
 
-fn parse<T: serde::de::DeserializeOwned>(name: &str, text: &str) -> Result<T, ReproduceError> {
-    toml::from_str(text)
-        .map_err(|error| ReproduceError::Table(format!("the table {name} of this program: {}", error.message())))
+fn parse<T: serde::de::DeserializeOwned>(name: &str, text: &str) -> anyhow::Result<T> {
+    toml::from_str(text).map_err(|error| anyhow!("lab/tables/{name}.toml: {}", error.message()))
 }
 
-fn missing(what: String) -> ReproduceError {
-    ReproduceError::Table(format!("{what}: is not defined"))
+fn missing(what: &str) -> anyhow::Error {
+    anyhow!("{what}: is not defined")
 }
 
 /// The plan of a table.
@@ -245,8 +244,8 @@ fn missing(what: String) -> ReproduceError {
 /// - `over`: arguments of `tcgs train` that replace those of the table's files
 ///
 /// # Errors
-/// [`ReproduceError::Input`] if there is no such table.
-pub fn plan(name: &str, scenes: Option<&[String]>, size: Size, over: &[String]) -> Result<TablePlan, ReproduceError> {
+/// If there is no such table.
+pub fn plan(name: &str, scenes: Option<&[String]>, size: Size, over: &[String]) -> anyhow::Result<TablePlan> {
     let Some((_, text)) = TABLES.iter().find(|table| table.0 == name) else {
         let names: Vec<&str> = TABLES.iter().map(|table| table.0).collect();
         return Err(wrong_input(format!("{name}: no table of this name, expected one of {}", names.join(", "))));
@@ -260,7 +259,7 @@ pub fn plan(name: &str, scenes: Option<&[String]>, size: Size, over: &[String]) 
     let mut plan = TablePlan { name: name.into(), columns: Vec::new(), scenes, jobs: Vec::new(), table, shared };
     for name in &plan.table.show {
         let column = plan.table.columns.get(name).or(plan.shared.columns.get(name));
-        let column = column.ok_or_else(|| missing(format!("column {name} of the table {}", plan.name)))?;
+        let column = column.ok_or_else(|| missing(&format!("column {name} of the table {}", plan.name)))?;
         plan.columns.push((name.clone(), column.clone()));
     }
     plan.jobs = plan.find_jobs(size, over)?;
@@ -280,7 +279,7 @@ impl TablePlan {
         self.table.plots.iter().any(|plot| plot.kind == PlotKind::Pictures)
     }
 
-    fn find_jobs(&self, size: Size, over: &[String]) -> Result<Vec<Job>, ReproduceError> {
+    fn find_jobs(&self, size: Size, over: &[String]) -> anyhow::Result<Vec<Job>> {
         let mut jobs: Vec<Job> = Vec::new();
         for scene in &self.scenes {
             let dataset = self.shared.datasets.get(self.dataset(scene));
@@ -290,7 +289,7 @@ impl TablePlan {
             for row in self.table.rows.iter().chain(&self.table.analyses) {
                 let (Some(run), Some(measure)) = (&row.run, &row.measure) else { continue };
                 let missing =
-                    |what: &str| missing(format!("{what} of the row {} of the table {}", row.label, self.name));
+                    |what: &str| missing(&format!("{what} of the row {} of the table {}", row.label, self.name));
                 let own = self.table.runs.get(run).or(self.shared.runs.get(run)).ok_or_else(|| missing(run))?;
                 let arguments = [of_data.as_slice(), own, &of_table, over].into_iter().fold(Vec::new(), merged);
                 let found = self.table.measures.get(measure).or(self.shared.measures.get(measure));
