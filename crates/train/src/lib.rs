@@ -47,8 +47,8 @@ pub use motion::{Past, Pose, predict};
 pub use neighbors::{NEIGHBOR_FALLOFF, NUM_NEIGHBORS, Neighbors};
 pub use parameters::{Parameters, scene_radius};
 pub use population::{
-    Densified, DensifyStep, Removal, TimestepViews, are_in_images, densify, judge_stride, needed, remove_others,
-    reset_opacities,
+    Densified, DensifyStep, Needed, Removal, TimestepViews, are_in_images, densify, judge_stride, needed,
+    remove_others, reset_opacities,
 };
 pub use refine::{RefineConfig, Refiner, refine_order};
 pub use row::Row;

@@ -150,7 +150,7 @@ pub(super) fn without_costly<'a>(
     let removal = Removal { share, most: MOST_REMOVED, costs: Some(&costs(&compact)), seed: 0 };
     let mut stays: Vec<bool> =
         (0..order.len()).map(|gaussian| states.iter().all(|(_, is_hidden)| is_hidden[gaussian])).collect();
-    needed(&timesteps, &removal).into_iter().for_each(|gaussian| stays[gaussian] = true);
+    needed(&timesteps, &removal).rows.into_iter().for_each(|gaussian| stays[gaussian] = true);
     let mut rows: Vec<usize> = order.into_iter().zip(stays).filter_map(|(row, stays)| stays.then_some(row)).collect();
     rows.sort_unstable();
     Ok(pruned.select(&rows))

@@ -5,7 +5,7 @@
 use tcgs_core::View;
 
 use super::densify::{DensifyStep, densify, remove_others, reset_opacities};
-use super::removal::{Removal, TimestepViews, needed};
+use super::removal::{Needed, Removal, TimestepViews, needed};
 use crate::config::TrainConfig;
 use crate::mask::{mask, masked_out};
 use crate::schedule::{Phase, Schedule};
@@ -26,6 +26,10 @@ const RECOVERY: f32 = 1000.0;
 
 /// Largest share of the Gaussians that one removal by error takes. The others need iterations to take over.
 const MOST_REMOVED: f32 = 0.4;
+
+/// Least opacity, as its logit, of what only cameras between the training cameras show. A wall of points at the initial
+/// opacity of 0.5 shows what lies behind it.
+const OPAQUE: f32 = 3.0;
 
 /// The rules of the first timestep.
 #[derive(Clone, Debug)]
@@ -89,9 +93,11 @@ impl FirstTimestep {
                 views,
                 corrections: &state.parameters.corrections(),
             };
-            let keep =
-                needed(&[timestep], &Removal { share: self.prune_error(), most: MOST_REMOVED, costs: None, seed });
-            remove_others(state, &keep);
+            let removal = Removal { share: self.prune_error(), most: MOST_REMOVED, costs: None, seed };
+            let Needed { rows, between } = needed(&[timestep], &removal);
+            let logit_opacities = state.parameters.gaussians.logit_opacities_mut();
+            between.into_iter().for_each(|i| logit_opacities[i] = logit_opacities[i].max(OPAQUE));
+            remove_others(state, &rows);
         }
         // Identities matter only once the first timestep is finished.
         state.number_anew();
@@ -155,8 +161,11 @@ impl FirstTimestep {
 
 #[cfg(test)]
 mod tests {
+    use tcgs_core::{BaseColumns, Camera, Gaussians, Image};
+
     use super::*;
     use crate::config::Preset;
+    use crate::parameters::Parameters;
 
     fn first_timestep(iterations: usize, preset: Preset) -> FirstTimestep {
         let mut config = TrainConfig::preset(preset);
@@ -187,5 +196,33 @@ mod tests {
         assert!(long.prunes_masked(150) && (0..1500).all(|i| !long.prunes_unneeded(i)));
         assert!((0..250).all(|i| !short.resets_opacities(i)));
         assert!(s.reshapes(100) && s.reshapes(825) && !s.reshapes(900) && !s.reshapes(1050));
+    }
+
+    #[test]
+    fn what_only_cameras_between_show_becomes_opaque() {
+        // Each camera has one of the first two before the third.
+        let gaussians = Gaussians::from(BaseColumns {
+            means: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 4.0]],
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; 3],
+            log_scales: vec![[-0.7; 3], [-0.7; 3], [-2.5; 3]],
+            logit_opacities: vec![9.0, 2.0, 0.0],
+            colors: vec![[0.9, 0.3, 0.2], [0.2, 0.5, 0.9], [0.9, 0.8, 0.3]],
+        });
+        let views = [-2.0, 2.0].map(|x| {
+            let camera = Camera::look_at([x, 0.0, -4.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0], 60.0, 72, 54);
+            View { image: Image::filled(72, 54, 3, 0.5), camera, segmentation: None, frame: 0, camera_id: 0 }
+        });
+        let mut state = State::new(Parameters {
+            gaussians,
+            mask_logits: vec![1.0; 3],
+            foreground: vec![true; 3],
+            camera_gains: vec![[0.0; 3]; 2],
+            camera_offsets: vec![[0.0; 3]; 2],
+        });
+        let rules = first_timestep(1500, Preset::Default);
+        rules.reshape(&mut state, 789, 0, &views);
+        assert_eq!(state.parameters.gaussians.logit_opacities(), [9.0, 2.0, 0.0], "no event");
+        rules.reshape(&mut state, 788, 0, &views);
+        assert_eq!(state.parameters.gaussians.logit_opacities(), [9.0, 2.0, OPAQUE]);
     }
 }

@@ -36,7 +36,7 @@ pub use self::densify::{Densified, DensifyStep, densify, remove_others, reset_op
 use self::first_timestep::FirstTimestep;
 #[cfg(test)]
 pub(crate) use self::first_timestep::{DENSIFY_END, MASK_PRUNE_INTERVAL};
-pub use self::removal::{Removal, TimestepViews, judge_stride, needed};
+pub use self::removal::{Needed, Removal, TimestepViews, judge_stride, needed};
 pub use self::unseen::are_in_images;
 use self::unseen::gather_unseen;
 use self::youth::raise_young;

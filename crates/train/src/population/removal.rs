@@ -57,14 +57,23 @@ pub struct Removal<'a> {
     pub seed: u64,
 }
 
+/// Gaussians that stay after a removal.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Needed {
+    /// Indices, ascending.
+    pub rows: Vec<usize>,
+    /// Those of them that cameras between the training cameras show, and training images hardly. No image tells their
+    /// opacities. Indices, ascending.
+    pub between: Vec<usize>,
+}
+
 /// Gaussians that stay when as many are removed as the images allow.
 ///
 /// A Gaussian outside of all images stays, because no image tells whether it is needed. So does one that only cameras
 /// between the training cameras show, such as a piece of the wall behind a person.
 ///
 /// - `timesteps`: with the same Gaussians, at least one
-/// - returns: indices, ascending
-pub fn needed(timesteps: &[TimestepViews<'_>], removal: &Removal<'_>) -> Vec<usize> {
+pub fn needed(timesteps: &[TimestepViews<'_>], removal: &Removal<'_>) -> Needed {
     let mut errors = vec![0.0; timesteps[0].gaussians.num_gaussians()];
     // Largest shares of training images, and of pictures from between.
     let mut largest = [errors.clone(), errors.clone()];
@@ -82,7 +91,8 @@ pub fn needed(timesteps: &[TimestepViews<'_>], removal: &Removal<'_>) -> Vec<usi
         }
     }
     let [of_images, of_between] = largest;
-    let may_go = |&i: &usize| is_in_images[i] && of_between[i] <= FROM_BETWEEN * of_images[i];
+    let is_between = |i: usize| of_between[i] > FROM_BETWEEN * of_images[i];
+    let may_go = |&i: &usize| is_in_images[i] && !is_between(i);
     let mut order: Vec<usize> = (0..errors.len()).filter(may_go).collect();
     if let Some(costs) = removal.costs {
         errors.iter_mut().zip(costs).for_each(|(error, cost)| *error /= cost);
@@ -100,7 +110,10 @@ pub fn needed(timesteps: &[TimestepViews<'_>], removal: &Removal<'_>) -> Vec<usi
     }
     let mut keeps = vec![true; errors.len()];
     order[..low].iter().for_each(|&i| keeps[i] = false);
-    (0..keeps.len()).filter(|&i| keeps[i]).collect()
+    Needed {
+        rows: (0..keeps.len()).filter(|&i| keeps[i]).collect(),
+        between: (0..keeps.len()).filter(|&i| is_between(i)).collect(),
+    }
 }
 
 /// Raises each Gaussian's largest share of a picture to its shares of pictures of these cameras.
@@ -243,7 +256,7 @@ mod tests {
                 views: &views,
                 corrections: &[[[0.0; 3]; 2]; 2],
             };
-            needed(&[timestep], &Removal { share, most: 0.4, costs, seed: 3 })
+            needed(&[timestep], &Removal { share, most: 0.4, costs, seed: 3 }).rows
         };
         let stay = |share, is_hidden| stay_by(share, is_hidden, None);
         // The last changes no picture, and is in none.
@@ -272,15 +285,16 @@ mod tests {
             });
             let corrections = &[[[0.0; 3]; 2]; 2];
             let timestep = TimestepViews { gaussians, is_hidden: &[false; 4], views: &views, corrections };
-            needed(&[timestep], &Removal { share: 1e9, most: 0.4, costs: None, seed: 3 })
+            let needed = needed(&[timestep], &Removal { share: 1e9, most: 0.4, costs: None, seed: 3 });
+            (needed.rows, needed.between)
         };
         // Each camera has one of the first two before the third. From half-way it shows between them.
         assert_eq!(
             stay(&behind([0.0, 0.0, 4.0]).into()),
-            [0, 1, 2],
+            (vec![0, 1, 2], vec![2]),
             "the fourth is in the images, and the only one that may go"
         );
         // Here the second hides it from everywhere.
-        assert_eq!(stay(&behind([1.0, 0.0, 0.5]).into()), [0, 1, 3]);
+        assert_eq!(stay(&behind([1.0, 0.0, 0.5]).into()), (vec![0, 1, 3], vec![]));
     }
 }
