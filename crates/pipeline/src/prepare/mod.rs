@@ -97,20 +97,16 @@ impl PrepareOptions {
     /// Refuses numbers that no footage has.
     fn check(&self) -> Result<(), PipelineError> {
         let FootageOptions { scale, from_secs, to_secs, every, images_fps, .. } = &self.footage;
-        let is_secs = |secs: f64| secs.is_finite() && secs >= 0.0;
-        let is_above_0 = |number: f64| number.is_finite() && number > 0.0;
-        let metres = scale.as_ref().map(|(_, metres)| *metres);
-        let numbers: [(&str, Option<f64>, &str, &dyn Fn(f64) -> bool); 4] = [
-            ("from_secs", *from_secs, "seconds, 0 or more", &is_secs),
-            ("to_secs", *to_secs, "seconds, 0 or more", &is_secs),
-            ("images_fps", *images_fps, "a number above 0", &is_above_0),
-            ("scale", metres, "a number above 0", &is_above_0),
-        ];
-        for (name, number, expected, is_such) in numbers {
-            if let Some(found) = number.filter(|&number| !is_such(number)) {
-                return Err(PipelineError::input(name, format!("is {found}"), expected));
-            }
-        }
+        let check = |name: &str, number: Option<f64>, is_such: fn(&f64) -> bool, expected: &str| {
+            let wrong = number.filter(|number| !number.is_finite() || !is_such(number));
+            wrong.map_or(Ok(()), |found| Err(PipelineError::input(name, format!("is {found}"), expected)))
+        };
+        let secs = |name, secs| check(name, secs, |&secs| secs >= 0.0, "seconds, 0 or more");
+        let above_0 = |name, number| check(name, number, |&number| number > 0.0, "a number above 0");
+        secs("from_secs", *from_secs)?;
+        secs("to_secs", *to_secs)?;
+        above_0("images_fps", *images_fps)?;
+        above_0("scale", scale.as_ref().map(|(_, metres)| *metres))?;
         let counts = [("every", *every), ("num_points", Some(self.stereo.num_points))];
         for (name, count) in counts.into_iter().chain([("image_width", Some(self.stereo.image_width))]) {
             if count == Some(0) {
