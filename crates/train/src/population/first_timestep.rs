@@ -31,6 +31,9 @@ const MOST_REMOVED: f32 = 0.4;
 /// opacity of 0.5 shows what lies behind it.
 const OPAQUE: f32 = 3.0;
 
+/// Growth of the scales of such Gaussians at each removal, as its logarithm, until they close the gaps between them.
+const GROWTH: f32 = 0.3;
+
 /// The rules of the first timestep.
 #[derive(Clone, Debug)]
 pub(super) struct FirstTimestep {
@@ -95,8 +98,11 @@ impl FirstTimestep {
             };
             let removal = Removal { share: self.prune_error(), most: MOST_REMOVED, costs: None, seed };
             let Needed { rows, between } = needed(&[timestep], &removal);
-            let logit_opacities = state.parameters.gaussians.logit_opacities_mut();
-            between.into_iter().for_each(|i| logit_opacities[i] = logit_opacities[i].max(OPAQUE));
+            let v = state.parameters.gaussians.views_mut();
+            for i in between {
+                v.logit_opacities[i] = v.logit_opacities[i].max(OPAQUE);
+                v.log_scales[i].iter_mut().for_each(|log_scale| *log_scale += GROWTH);
+            }
             remove_others(state, &rows);
         }
         // Identities matter only once the first timestep is finished.
@@ -199,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn what_only_cameras_between_show_becomes_opaque() {
+    fn what_only_cameras_between_show_becomes_opaque_and_grows() {
         // Each camera has one of the first two before the third.
         let gaussians = Gaussians::from(BaseColumns {
             means: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 4.0]],
@@ -224,5 +230,6 @@ mod tests {
         assert_eq!(state.parameters.gaussians.logit_opacities(), [9.0, 2.0, 0.0], "no event");
         rules.reshape(&mut state, 788, 0, &views);
         assert_eq!(state.parameters.gaussians.logit_opacities(), [9.0, 2.0, OPAQUE]);
+        assert_eq!(state.parameters.gaussians.log_scales(), [[-0.7; 3], [-0.7; 3], [-2.5 + GROWTH; 3]]);
     }
 }
