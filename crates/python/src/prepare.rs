@@ -34,7 +34,7 @@ use crate::watch::Watch;
 /// - progress: show a line in a terminal or notebook
 /// - callback: called with a Progress instead of the line; an exception in it ends the call
 ///
-/// Returns the Capture. What the check finds wrong is a UserWarning.
+/// Returns the Capture. Each finding of the check is a UserWarning.
 ///
 /// Raises ValueError or OSError if an input is wrong, FileExistsError if `out` exists and is not replaced.
 #[pyfunction]

@@ -515,7 +515,7 @@ fn report(arguments: &Arguments, compressed: &Compressed, found: Vec<Found>, out
     for ((name, bytes), keypoints) in compressed.bytes_by_attribute.iter().zip(keypoints) {
         say(&format!("{name:<15} {bytes:>11}  {:>9}  {keypoints:>18.2}", show_bytes(*bytes)))?;
     }
-    // Of other files the largest of millions of errors says nothing about the pictures; `tcgs info` tells it.
+    // Without a bound, the largest of millions of errors says nothing about the pictures; `tcgs info` tells it.
     if arguments.max_error.is_some() {
         attribute_errors::print(&compact.declared_errors)?;
     }

@@ -130,9 +130,9 @@ impl CompressOptions {
 /// A step of a compression and the size that it leaves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SizeStep {
-    /// What the scene is after the step: `raw`, `pruned`, `quantised`, `keypoints`, `plain`, `file`.
+    /// State of the scene after the step: `raw`, `pruned`, `quantised`, `keypoints`, `plain`, `file`.
     pub name: &'static str,
-    /// What the scene then takes.
+    /// Size of the scene after the step.
     pub bytes: u64,
 }
 
@@ -461,7 +461,7 @@ pub fn kept_gaussians(scene: &OpenScene, threshold: Option<f32>) -> Result<Vec<u
     Ok(keep)
 }
 
-/// What the training cameras see of Gaussians.
+/// How much the training cameras see of each Gaussian.
 ///
 /// - `lives`: as [`seen`] takes them
 /// - `cameras`: at the capture's full size

@@ -25,7 +25,7 @@ const PAIRS: usize = 3;
 pub(super) struct Parts<'a> {
     scene: &'a OpenScene,
     max_timesteps: usize,
-    /// Of each part, in the order in which its Gaussians are followed.
+    /// Bit map of each part, in the order in which its Gaussians are followed.
     bit_maps: Vec<BitMap>,
     /// Where the bits come from, in words.
     pub bits_from: String,

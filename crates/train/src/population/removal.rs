@@ -62,8 +62,8 @@ pub struct Removal<'a> {
 pub struct Needed {
     /// Indices, ascending.
     pub rows: Vec<usize>,
-    /// Those of them that cameras between the training cameras show, and training images hardly. No image tells their
-    /// opacities. Indices, ascending.
+    /// Gaussians among them that cameras between the training cameras show, and training images hardly. No image tells
+    /// their opacities. Indices, ascending.
     pub between: Vec<usize>,
 }
 
