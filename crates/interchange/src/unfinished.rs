@@ -25,7 +25,8 @@ const MARK: &str = "unfinished-by-tcgs";
 const MARK_TEXT: &str = "tcgs writes here what it renames when it is whole. If no tcgs runs, this folder is left over from one\n\
                          that was stopped, and may be removed.\n";
 
-/// Tries to remove a folder; each fails only if a file appears meanwhile; a disk without room or rights fails at once.
+/// Tries to remove a folder; each fails only if a file appears or moves meanwhile; a disk without room or rights fails at
+/// once.
 const REMOVALS: usize = 100;
 
 /// Age, since its last change, at which a killed process's unfinished output is removed. A day gives a person enough
@@ -249,6 +250,8 @@ pub fn remove_held() {
         for _ in 0..REMOVALS {
             match fs::remove_dir_all(folder) {
                 Err(error) if error.kind() == ErrorKind::DirectoryNotEmpty => {}
+                // A file in it was renamed meanwhile.
+                Err(error) if error.kind() == ErrorKind::NotFound && folder.exists() => {}
                 _ => break,
             }
         }
