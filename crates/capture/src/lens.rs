@@ -40,6 +40,21 @@ pub struct Crop {
     pub height: usize,
 }
 
+impl Crop {
+    /// The whole image.
+    pub fn whole((width, height): (usize, usize)) -> Self {
+        Self { left: 0, top: 0, width, height }
+    }
+
+    /// Whether it lies in an image of that size.
+    pub fn is_within(self, (width, height): (usize, usize)) -> bool {
+        let fits = |begin: usize, length: usize, size: usize| {
+            length > 0 && begin.checked_add(length).is_some_and(|end| end <= size)
+        };
+        fits(self.left, self.width, width) && fits(self.top, self.height, height)
+    }
+}
+
 /// Largest width and height of a lens, pixels.
 pub(crate) const MAX_SIDE: usize = 1 << 14;
 /// Largest width and height of images whose crop is searched from the whole image, pixels.

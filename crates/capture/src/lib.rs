@@ -54,5 +54,5 @@ pub use kinds::MASKS_FOLDER;
 pub use lens::{Crop, Lens};
 pub use points::{POINTS_FILE, write_points, write_prepared};
 pub use prepared::{Origin, Prepared};
-pub use recording::{Active, ColorChange, Recording, Take, Times, VIDEO_ENDINGS, audio, end_programs, turned};
+pub use recording::{ColorChange, Recording, Take, Times, VIDEO_ENDINGS, audio, end_programs, turned};
 pub use synthetic::{Late, SYNTHETIC_FRAME_RATE, SyntheticSettings, ball_at, distance_from_surface, write_synthetic};

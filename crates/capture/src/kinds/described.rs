@@ -24,7 +24,7 @@ use crate::footage::{ByFrame, Change, Footage, Images, Masks, Pixels};
 use crate::kind::{CaptureFacts, CaptureKind};
 use crate::lens::{Crop, Lens, MAX_SIDE};
 use crate::names::{Files, Names};
-use crate::recording::{Active, ColorChange, Recording, Take, turned};
+use crate::recording::{ColorChange, Recording, Take, turned};
 use crate::{CaptureError, points};
 
 /// Folder of a described capture that holds the masks, a folder for each camera.
@@ -92,7 +92,7 @@ impl Take {
         let quarter_turns = (camera.turn_degrees / 90) as u8;
         let whole = turned(recording.size, quarter_turns);
         let active =
-            camera.crop.map_or(Active::whole(whole), |[left, top, width, height]| Active { left, top, width, height });
+            camera.crop.map_or(Crop::whole(whole), |[left, top, width, height]| Crop { left, top, width, height });
         if !active.is_within(whole) {
             return Err(invalid(format!("crop {:?} exceeds the image of {}x{} pixels", camera.crop, whole.0, whole.1)));
         }

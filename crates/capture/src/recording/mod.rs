@@ -19,7 +19,7 @@ use crate::{CaptureError, decode, files};
 
 pub use child::end_programs;
 pub use program::audio;
-pub use take::{Active, ColorChange, Take, turned};
+pub use take::{ColorChange, Take, turned};
 pub use times::Times;
 
 use program::ProgramVideo;

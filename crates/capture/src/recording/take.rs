@@ -6,6 +6,7 @@ use image::{RgbImage, imageops};
 
 use super::Recording;
 use crate::CaptureError;
+use crate::lens::Crop;
 
 /// A recording on the clock of its capture.
 #[derive(Clone, Debug)]
@@ -15,7 +16,7 @@ pub struct Take {
     /// Clockwise, applied to the stored image.
     pub quarter_turns: u8,
     /// The used part of the turned image.
-    pub active: Active,
+    pub active: Crop,
     /// Change of the colours.
     pub colors: ColorChange,
     /// The time in the recording at which the capture begins.
@@ -54,34 +55,6 @@ impl ColorChange {
     }
 }
 
-/// A rectangle in pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Active {
-    /// First column.
-    pub left: usize,
-    /// First row.
-    pub top: usize,
-    /// Number of columns.
-    pub width: usize,
-    /// Number of rows.
-    pub height: usize,
-}
-
-impl Active {
-    /// The whole image.
-    pub fn whole((width, height): (usize, usize)) -> Self {
-        Self { left: 0, top: 0, width, height }
-    }
-
-    /// Whether it lies in an image of that size.
-    pub fn is_within(self, (width, height): (usize, usize)) -> bool {
-        let fits = |begin: usize, length: usize, size: usize| {
-            length > 0 && begin.checked_add(length).is_some_and(|end| end <= size)
-        };
-        fits(self.left, self.width, width) && fits(self.top, self.height, height)
-    }
-}
-
 /// Width and height after quarter turns.
 pub fn turned((width, height): (usize, usize), quarter_turns: u8) -> (usize, usize) {
     if quarter_turns % 2 == 1 { (height, width) } else { (width, height) }
@@ -105,7 +78,7 @@ impl Take {
             3 => imageops::rotate270(&stored),
             _ => stored,
         };
-        let Active { left, top, width, height } = self.active;
+        let Crop { left, top, width, height } = self.active;
         if (width, height) != (image.width() as usize, image.height() as usize) {
             image = imageops::crop_imm(&image, left as u32, top as u32, width as u32, height as u32).to_image();
         }

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use tcgs_capture::{Capture, CaptureDescription, DescribedCamera, Split};
 use tcgs_prepare::{CameraFit, Diagnosis, Finding};
+use tcgs_report::plot::escape;
 
 use super::check::verdict;
 use crate::pictures::{description, jpeg_uri};
@@ -72,8 +73,8 @@ pub fn html(path: &Path, capture: &Capture, diagnosis: &Diagnosis) -> anyhow::Re
         "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" \
          content=\"width=device-width, initial-scale=1\">\n<meta name=\"color-scheme\" content=\"light dark\">\n\
          <title>{name}: check</title>\n<style>\n{STYLE}</style>\n<h1>{name}</h1>\n<p>{facts}</p>\n",
-        name = escaped(&capture.name()),
-        facts = escaped(&facts(capture, entries.len())),
+        name = escape(&capture.name()),
+        facts = escape(&facts(capture, entries.len())),
     );
     problems(&mut page, path, diagnosis);
     if let Some(description) = &description {
@@ -88,14 +89,14 @@ pub fn html(path: &Path, capture: &Capture, diagnosis: &Diagnosis) -> anyhow::Re
         progress.step(|| entry.name.clone());
         let pictures = diagnosis.pictures(capture, place)?;
         let (class, state) = entry.state();
-        let name = escaped(&entry.name);
+        let name = escape(&entry.name);
         let held_out = if entry.is_test { " <small>held out</small>" } else { "" };
         let _ = write!(
             page,
             "<section id=\"camera-{place}\" class=\"{class}\">\n<h3>{name}{held_out} <span class=\"badge\">{state}</span></h3>\n"
         );
         for finding in &entry.findings {
-            let _ = writeln!(page, "<p class=\"problem\">{}</p>", escaped(&finding.problem));
+            let _ = writeln!(page, "<p class=\"problem\">{}</p>", escape(&finding.problem));
         }
         page += "<div class=\"pictures\">\n";
         let shown = [
@@ -153,34 +154,34 @@ fn facts(capture: &Capture, num_cameras: usize) -> String {
 
 fn problems(page: &mut String, path: &Path, diagnosis: &Diagnosis) {
     let class = if diagnosis.findings.is_empty() { "good" } else { "bad" };
-    let _ = writeln!(page, "<p class=\"verdict {class}\">{}</p>", escaped(&verdict(path, diagnosis)));
+    let _ = writeln!(page, "<p class=\"verdict {class}\">{}</p>", escape(&verdict(path, diagnosis)));
     if !diagnosis.findings.is_empty() {
         *page += "<ul class=\"findings\">\n";
         for finding in &diagnosis.findings {
-            let _ = writeln!(page, "<li>{}</li>", escaped(&finding.to_string()));
+            let _ = writeln!(page, "<li>{}</li>", escape(&finding.to_string()));
         }
         *page += "</ul>\n";
     }
     for line in super::check::remarks(diagnosis) {
-        let _ = writeln!(page, "<p>{}</p>", escaped(&line));
+        let _ = writeln!(page, "<p>{}</p>", escape(&line));
     }
 }
 
 /// Writes the sources of clocks, colours and calibration.
 fn sources(page: &mut String, description: &CaptureDescription) {
     if let Some(clock) = &description.clock {
-        let _ = writeln!(page, "<p>Clocks: {}.</p>", escaped(&clock.from));
+        let _ = writeln!(page, "<p>Clocks: {}.</p>", escape(&clock.from));
     }
     if let Some(colors) = &description.colors {
         let used = if colors.used { "" } else { " Gains and offsets are not used." };
-        let found: Vec<String> = colors.found.iter().map(|found| escaped(found)).collect();
+        let found: Vec<String> = colors.found.iter().map(|found| escape(found)).collect();
         let _ = writeln!(page, "<p>Colours: {}.{used}</p>", found.join("; "));
     }
     if let Some(source) = &description.calibration {
-        let (file, format) = (escaped(&source.file), escaped(&source.format));
+        let (file, format) = (escape(&source.file), escape(&source.format));
         let _ = writeln!(page, "<details><summary>Calibration: {file} ({format})</summary>\n<ul>");
         for change in &source.changes {
-            let _ = writeln!(page, "<li>{}</li>", escaped(change));
+            let _ = writeln!(page, "<li>{}</li>", escape(change));
         }
         *page += "</ul></details>\n";
     }
@@ -194,7 +195,7 @@ fn overview(page: &mut String, entries: &[Entry<'_>], has_gains: bool) {
     for (place, entry) in entries.iter().enumerate() {
         let (class, state) = entry.state();
         let cells: String = entry.numbers(has_gains).iter().map(|(_, value)| format!("<td>{value}</td>")).collect();
-        let name = escaped(&entry.name);
+        let name = escape(&entry.name);
         let _ = writeln!(
             page,
             "<tr class=\"{class}\"><td><a href=\"#camera-{place}\">{name}</a></td>{cells}<td><span class=\"badge\">{state}</span></td></tr>"
@@ -206,9 +207,4 @@ fn overview(page: &mut String, entries: &[Entry<'_>], has_gains: bool) {
                   seen and where the camera should see them. ";
     }
     *page += "Brightness: of red, green and blue against the camera in the middle. Likeness: correlation of the image with the points whose depth is measured, 1 at most; below 0.5 no camera is said to fit.</p>\n";
-}
-
-/// Escapes a text for HTML.
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

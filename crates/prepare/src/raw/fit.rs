@@ -6,7 +6,7 @@
 //! 2. the size as stored, where the file asks players to turn the image by a quarter, also scaled;
 //! 3. the part within black bars, also scaled.
 
-use tcgs_capture::{Active, CalibratedCamera, Recording, turned};
+use tcgs_capture::{CalibratedCamera, Crop, Recording, turned};
 
 use super::looked::Looked;
 
@@ -137,13 +137,13 @@ fn is_scaled((width, height): (usize, usize), of: (usize, usize)) -> bool {
 }
 
 /// Converts a rectangle of the stored image to the turned image.
-fn turned_within(active: Active, (width, height): (usize, usize), quarter_turns: u8) -> Active {
-    let Active { left, top, width: w, height: h } = active;
+fn turned_within(active: Crop, (width, height): (usize, usize), quarter_turns: u8) -> Crop {
+    let Crop { left, top, width: w, height: h } = active;
     let (right, bottom) = (width - left - w, height - top - h);
     match quarter_turns {
-        1 => Active { left: bottom, top: left, width: h, height: w },
-        2 => Active { left: right, top: bottom, width: w, height: h },
-        3 => Active { left: top, top: right, width: h, height: w },
+        1 => Crop { left: bottom, top: left, width: h, height: w },
+        2 => Crop { left: right, top: bottom, width: w, height: h },
+        3 => Crop { left: top, top: right, width: h, height: w },
         _ => active,
     }
 }

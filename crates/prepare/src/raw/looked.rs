@@ -1,7 +1,7 @@
 //! A first look at a recording: whether it shows anything, and whether black bars frame the picture.
 
 use image::RgbImage;
-use tcgs_capture::{Active, Recording};
+use tcgs_capture::{Crop, Recording};
 
 use crate::PrepareError;
 
@@ -14,7 +14,7 @@ const BLACK: f64 = 24.0;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Looked {
     /// The stored picture without rows and columns at its edges that are black in all frames.
-    pub within_bars: Active,
+    pub within_bars: Crop,
 }
 
 /// Decodes some frames and measures their borders.
@@ -35,7 +35,7 @@ pub(super) fn look(recording: &Recording) -> Result<Looked, PrepareError> {
         brightest(&image, &mut columns, &mut rows);
     }
     match (lit(&columns), lit(&rows)) {
-        (Some((left, width)), Some((top, height))) => Ok(Looked { within_bars: Active { left, top, width, height } }),
+        (Some((left, width)), Some((top, height))) => Ok(Looked { within_bars: Crop { left, top, width, height } }),
         _ => {
             Err(PrepareError::invalid(&recording.path, "is black in all frames that were looked at, expected pictures"))
         }

@@ -53,9 +53,10 @@ impl Trainer {
         if phase == Phase::Rest {
             self.solver.engine.state_mut()?.begin_past();
             if let Some(gate) = &mut self.gate {
-                activity = gate.look(self.solver.engine.state()?, &targets);
+                let state = self.solver.engine.state()?;
+                activity = gate.look(state, &targets);
+                self.population.begin_timestep(state, activity.as_ref());
             }
-            self.population.begin_timestep(self.solver.engine.state()?, activity.as_ref());
             self.begin_timestep(activity.as_ref())?;
         }
         let num_gaussians = self.solver.num_gaussians();
