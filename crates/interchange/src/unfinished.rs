@@ -25,8 +25,7 @@ const MARK: &str = "unfinished-by-tcgs";
 const MARK_TEXT: &str = "tcgs writes here what it renames when it is whole. If no tcgs runs, this folder is left over from one\n\
                          that was stopped, and may be removed.\n";
 
-/// Tries to remove a folder; each fails only if a file appears or moves meanwhile; a disk without room or rights fails at
-/// once.
+/// Tries to remove or rename a folder into which others write meanwhile.
 const REMOVALS: usize = 100;
 
 /// Age, since its last change, at which a killed process's unfinished output is removed. A day gives a person enough
@@ -246,13 +245,11 @@ pub fn moving() -> MutexGuard<'static, ()> {
 pub fn remove_held() {
     let all = Held::all();
     for folder in all.iter() {
-        // Other threads may still write into it.
+        // Other threads may still write into it, and make it again.
         for _ in 0..REMOVALS {
-            match fs::remove_dir_all(folder) {
-                Err(error) if error.kind() == ErrorKind::DirectoryNotEmpty => {}
-                // A file in it was renamed meanwhile.
-                Err(error) if error.kind() == ErrorKind::NotFound && folder.exists() => {}
-                _ => break,
+            let _ = fs::remove_dir_all(folder);
+            if !folder.exists() {
+                break;
             }
         }
     }

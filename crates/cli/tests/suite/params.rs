@@ -66,7 +66,7 @@ fn the_foreground_survives_compression() {
 fn a_run_with_births_is_refused_with_what_holds_it() {
     let folder = tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
-    // In so short a training, removal leaves nothing that births would have to explain.
+    // With removal, so short a training has no births.
     let trained = train(&folder, "run", &["--set", "births.enabled=true", "--set", "densify.prune_error=0"]);
     let message = fail(2, &["export", text(&trained), "--to", text(&path("params.npz"))]);
     assert!(
