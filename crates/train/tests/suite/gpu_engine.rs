@@ -123,10 +123,11 @@ fn an_antialiased_training_follows_that_on_the_cpu() {
     };
     let [found, expected, other] = [losses(&on_gpu(&gpu), true), losses(&on_cpu, true), losses(&on_cpu, false)];
     let apart = |i: usize, expected: &[f64]| (found[i] - expected[i]).abs() / expected[i];
-    let first = |expected: &[f64]| (0..5).map(|i| apart(i, expected)).fold(0.0, f64::max);
-    let [near, far] = [first(&expected), first(&other)];
-    // Sums differ in their last bits by the CPU's vector units: 1.3e-4 was seen, and 9.8e-3 without antialiasing.
-    assert!(near < 2e-4 && far > 5e-3, "{near} from the CPU's, {far} from one without antialiasing");
+    assert!(apart(0, &expected) < 1e-6, "the first picture's loss is {} from the CPU's", apart(0, &expected));
+    // The second loss shows the gradients. Later ones amplify last bits, which depend on the CPU's vector units.
+    let second = |expected: &[f64]| apart(0, expected).max(apart(1, expected));
+    let [near, far] = [second(&expected), second(&other)];
+    assert!(near < 1e-4 && far > 5e-3, "{near} from the CPU's, {far} from one without antialiasing");
     let later = mean(&found[30..]) / mean(&expected[30..]);
     assert!((later - 1.0).abs() < 0.02, "losses of the second timestep are {later} times the CPU's");
 }
