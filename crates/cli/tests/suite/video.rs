@@ -1,7 +1,6 @@
 //! Videos of a scene, by the program `ffmpeg` or a substitute.
 
 use std::fs;
-use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -21,13 +20,6 @@ fn run_with_path(path: &Path, arguments: &[&str]) -> Output {
     tcgs().env("PATH", path).args(arguments).output().unwrap()
 }
 
-/// Writes a substitute program named `ffmpeg`.
-fn stand_in(folder: &Path, script: &str) {
-    let program = folder.join("ffmpeg");
-    fs::write(&program, format!("#!/bin/sh\n[ \"$1\" = -version ] && exit\n{script}\n")).unwrap();
-    fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).unwrap();
-}
-
 #[test]
 fn pictures_go_to_ffmpeg_and_errors_come_back() {
     let folder = tempdir().unwrap();
@@ -45,7 +37,7 @@ fn pictures_go_to_ffmpeg_and_errors_come_back() {
 
     // It stores its input: the last argument is the file to write.
     let keep = "for last; do :; done\necho \"$@\" > ARGUMENTS\n/bin/cat > \"$last\"";
-    stand_in(&bin, &keep.replace("ARGUMENTS", text(&bin.join("arguments.txt"))));
+    write_program(&bin.join("ffmpeg"), &keep.replace("ARGUMENTS", text(&bin.join("arguments.txt"))));
     assert!(run_with_path(&bin, &render).status.success());
     let pictures = fs::read(&clip).unwrap();
     assert_eq!(pictures.len(), 4 * 40 * 30 * 3);
@@ -69,7 +61,7 @@ fn pictures_go_to_ffmpeg_and_errors_come_back() {
         ("echo 'no such encoder' >&2; exit 3", "at once"),
         ("/bin/cat >/dev/null; echo 'no such encoder' >&2; exit 3", "at the end"),
     ] {
-        stand_in(&bin, script);
+        write_program(&bin.join("ffmpeg"), script);
         let output = run_with_path(&bin, &[&render[..], &["--force"]].concat());
         let message = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(1), "{dies}: {message}");

@@ -4,10 +4,14 @@ pub mod server;
 pub mod videos;
 
 use std::fmt::Display;
-use std::io::Write;
+use std::fs;
+use std::io::{ErrorKind, Write};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
+use std::thread;
+use std::time::Duration;
 
 use serde_json::Value;
 use tcgs_capture::{SyntheticSettings, write_synthetic};
@@ -134,4 +138,15 @@ pub fn checkpoints(run: &Path) -> Vec<(String, Vec<u8>)> {
         .collect();
     files.sort();
     files
+}
+
+/// Writes a shell script that is found as a program and ends at once when it is asked for its version.
+pub fn write_program(place: &Path, script: &str) {
+    fs::write(place, format!("#!/bin/sh\n[ \"$1\" = -version ] && exit\n{script}\n")).unwrap();
+    fs::set_permissions(place, fs::Permissions::from_mode(0o755)).unwrap();
+    // A process that another test starts meanwhile holds the file open for a moment: until then it cannot be run.
+    while let Err(error) = Command::new(place).arg("-version").status() {
+        assert_eq!(error.kind(), ErrorKind::ExecutableFileBusy, "{}: {error}", place.display());
+        thread::sleep(Duration::from_millis(5));
+    }
 }
