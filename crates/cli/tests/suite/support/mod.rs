@@ -111,7 +111,7 @@ pub fn train(folder: &TempDir, name: &str, more: &[&str]) -> PathBuf {
 
 /// Reads a JSON result.
 pub fn json(path: &Path) -> Value {
-    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
+    serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
 }
 
 /// Names of an object's fields, sorted.
@@ -130,11 +130,11 @@ pub fn assert_keys(value: &Value, expected: &[&str]) {
 
 /// Files of a run's checkpoints, by name.
 pub fn checkpoints(run: &Path) -> Vec<(String, Vec<u8>)> {
-    let Ok(entries) = std::fs::read_dir(run.join("checkpoints")) else { return Vec::new() };
+    let Ok(entries) = fs::read_dir(run.join("checkpoints")) else { return Vec::new() };
     let mut files: Vec<(String, Vec<u8>)> = entries
         .map(|entry| entry.unwrap())
         .filter(|entry| !entry.file_name().to_string_lossy().starts_with('.'))
-        .map(|entry| (entry.file_name().into_string().unwrap(), std::fs::read(entry.path()).unwrap()))
+        .map(|entry| (entry.file_name().into_string().unwrap(), fs::read(entry.path()).unwrap()))
         .collect();
     files.sort();
     files
