@@ -5,7 +5,7 @@ use tcgs_core::PointCloud;
 /// How a point was made, from the most to the least reliable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Origin {
-    /// At least three views agree on the point's depth.
+    /// At least three views agree on the point's depth; where cameras stand far apart, two.
     Triangulated,
     /// The point lies on the visual hull of the masks, where stereo found no foreground: foreground without texture.
     Hull,

@@ -28,9 +28,9 @@ pub enum PrepareError {
         /// Description of the fault: found and expected.
         problem: String,
     },
-    /// [`stereo_points`](crate::stereo_points) found no depth on which three views agree. [`check`](crate::check) looks
-    /// for the reason.
-    #[error("{}: no three views agree on any depth, expected cameras that fit the images", path.display())]
+    /// [`stereo_points`](crate::stereo_points) found no depth on which views agree. [`check`](crate::check) looks for
+    /// the reason.
+    #[error("{}: no views agree on any depth, expected cameras that fit the images", path.display())]
     NoDepth {
         /// The capture's folder.
         path: PathBuf,

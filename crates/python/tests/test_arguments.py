@@ -90,6 +90,12 @@ def cases(capture: Path, run: Path, folder: Path) -> dict[str, Case]:
     trained |= {"seed": 0, "resume": False, "overwrite": True, **quiet}
     evaluated: dict[str, Any] = {"scene": run, "capture": capture, "cameras": "test", "frames": (0, 1), "downscale": 4}
     evaluated |= {"frozen": False, "protocol": None, "lpips_weights": None, **quiet}
+    prepared: dict[str, Any] = {"source": capture, "out": folder / "prepared", "points": 1000, "width": 32, "masks": None}
+    prepared |= {"calibration": None, "scale": None, "refine_calibration": True, "balance_colors": True, "offsets": None}
+    prepared |= {"start": None, "end": None, "every": 1, "fps": None, "hold_out": [], "seed": 0, "overwrite": True}
+    prepared |= {"progress": False, "callback": None}
+    # Right values of these are refused too, since the source has no videos.
+    of_videos = "calibration scale offsets start end every fps hold_out"
     made: dict[str, Any] = {"path": folder / "made", "width": 16, "height": 16, "frames": 1, "points": 10, "seed": 0}
     opened: dict[str, Any] = {"path": FILE, "drop_sh": False, "recover": False, "fps": None, "segment_length": None}
     return {
@@ -112,6 +118,7 @@ def cases(capture: Path, run: Path, folder: Path) -> dict[str, Case]:
         "compress": Case(tcgs.compress, 150, compressed),
         "evaluate": Case(tcgs.evaluate, 60, evaluated),
         "train": Case(tcgs.train, 80, trained, skipped="iterations"),
+        "prepare": Case(tcgs.prepare, 60, prepared, skipped=f"points width {of_videos}"),
         "make_demo_capture": Case(make_and_remove, 60, made),
     }
 
@@ -119,7 +126,7 @@ def cases(capture: Path, run: Path, folder: Path) -> dict[str, Case]:
 NAMES = [
     "Camera", "Camera.look_at", "Camera.resized", "Capture", "Capture.cameras", "Capture.images", "Scene.from_arrays",
     "Scene.at", "Scene.num_gaussians_at", "Scene.orbit", "Scene.save", "open", "rasterize", "rasterize, several",
-    "Rasterized.vjp", "render", "compress", "evaluate", "train", "make_demo_capture",
+    "Rasterized.vjp", "render", "compress", "evaluate", "train", "prepare", "make_demo_capture",
 ]  # fmt: skip
 # Arguments whose messages begin with what they name, such as a file or a frame.
 NAMED_OTHERWISE = {

@@ -58,7 +58,7 @@ def test_what_cannot_be_prepared_is_named(capture: Path, tmp_path: Path) -> None
     (tmp_path / "empty").mkdir()
     with pytest.raises(ValueError, match="no videos here"):
         tcgs.prepare(tmp_path / "empty", tmp_path / "out", progress=False)
-    with pytest.raises(ValueError, match="start: is -1.0, expected seconds, 0 or more"):
+    with pytest.raises(ValueError, match="start: is -1, expected seconds, 0 or more"):
         tcgs.prepare(capture, tmp_path / "out", start=-1, progress=False)
     assert not (tmp_path / "out").exists()
     (tmp_path / "out").mkdir()

@@ -36,8 +36,9 @@ use words::Words;
 /// Cameras that differ in exposure or white balance get gains, if points that several of them see then agree better.
 ///
 /// Training starts from a cloud of coloured points. For a capture without points, multi-view stereo finds the depth of
-/// every pixel of the first frame's training images. Points that three views or more agree on are kept. The foreground
-/// is limited to the visual hull of the masks, surfaces without texture are continued, and a shell surrounds the rest.
+/// every pixel of the first frame's training images. Points that three views or more agree on are kept. Where cameras
+/// stand far apart two views have to do, which then must agree more closely. The foreground is limited to the visual
+/// hull of the masks, surfaces without texture are continued, and a shell surrounds the rest.
 ///
 /// In every image it marks what moves, if the cameras stand still and the capture has no masks (--masks). A pixel is
 /// marked if it differs from what its camera sees most of the time, and if the other cameras' differences allow motion

@@ -75,7 +75,7 @@ pub fn describe(
     // A dry run removes the folder again; an error here would also fail the call itself.
     let folder = Some(begin_capture(source, out, options.replace)?).filter(|_| !options.dry_run);
     let raw = RawFootage::find(source, of.images_fps)?;
-    let raw = raw.ok_or_else(|| no_videos(source))?;
+    let raw = raw.ok_or_else(|| no_videos(source, "one for each camera, since an option is for videos only"))?;
     let recorded = raw.cameras();
     say(observer, PrepareStep::Recordings(&recorded))?;
 

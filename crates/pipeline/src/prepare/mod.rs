@@ -300,13 +300,14 @@ fn of_capture(
 /// [`PipelineError`] if the source is no capture, or cannot be read.
 pub fn open_source(source: &Path) -> Result<Capture, PipelineError> {
     match Capture::open_unseen(source) {
-        Err(CaptureError::NotCapture { path, .. }) if path.is_dir() => Err(no_videos(&path)),
+        Err(CaptureError::NotCapture { path, .. }) if path.is_dir() => {
+            Err(no_videos(&path, "one for each camera, or a capture in a layout that tcgs train reads"))
+        }
         opened => Ok(opened?),
     }
 }
 
-fn no_videos(folder: &Path) -> PipelineError {
-    let expected = "one for each camera, or a capture in a layout that tcgs train reads";
+fn no_videos(folder: &Path, expected: &str) -> PipelineError {
     PipelineError::input(folder.display(), "no videos here", expected)
 }
 

@@ -66,12 +66,12 @@ pub(super) fn make_or_strew(
             if sure as f64 >= MIN_SURE * prepared.cloud.points.len() as f64 {
                 return Ok((prepared, told));
             }
-            format!("only {sure} points have a depth that three cameras agree on")
+            format!("only {sure} points have a depth that cameras agree on")
         }
         Err(PipelineError::Prepare(PrepareError::FarApart { degrees, .. })) => {
             format!("no three cameras are within {degrees} degrees of each other, so no depth can be seen")
         }
-        Err(PipelineError::Prepare(PrepareError::NoDepth { .. })) => "no three cameras agree on any depth".into(),
+        Err(PipelineError::Prepare(PrepareError::NoDepth { .. })) => "no cameras agree on any depth".into(),
         Err(error) => return Err(error),
     };
     let prepared = spread_points(capture, settings)?;

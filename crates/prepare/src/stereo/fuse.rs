@@ -9,8 +9,6 @@ use super::{
     vantage::Vantage,
 };
 
-/// Matching cost above which a depth is a guess.
-pub(super) const MAX_COST: f32 = 0.6;
 /// Relative depth margin: a point nearer than a view's sure depth by more than this hides it.
 const HIDING: f32 = 0.06;
 
@@ -33,10 +31,10 @@ pub(super) struct Belief<'a> {
 }
 
 impl<'a> Belief<'a> {
-    /// The depths where the images match.
-    pub fn of(map: &'a DepthMap) -> Self {
+    /// The depths where the images match at less than this cost.
+    pub fn of(map: &'a DepthMap, max_cost: f32) -> Self {
         let known =
-            map.costs.iter().zip(&map.planes).map(|(&cost, plane)| cost < MAX_COST && plane.inverse_depth > 0.0);
+            map.costs.iter().zip(&map.planes).map(|(&cost, plane)| cost < max_cost && plane.inverse_depth > 0.0);
         Self { planes: Cow::Borrowed(&map.planes), known: known.collect() }
     }
 }
@@ -45,6 +43,12 @@ impl<'a> Belief<'a> {
 pub(super) struct SureDepths {
     /// `[H, W]`
     pub depths: Vec<f32>,
+}
+
+impl SureDepths {
+    pub fn unknown(pinhole: &Pinhole<f32>) -> Self {
+        Self { depths: vec![0.0; pinhole.width * pinhole.height] }
+    }
 }
 
 /// A place on a surface.

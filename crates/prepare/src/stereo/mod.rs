@@ -54,7 +54,7 @@ impl Default for StereoSettings {
     }
 }
 
-/// Minimum number of cameras: two must agree with a third.
+/// Minimum number of cameras.
 const MIN_CAMERAS: usize = 3;
 /// Smallest images, pixels.
 const MIN_SIDE: usize = 16;
@@ -66,6 +66,11 @@ const MAX_LEVELS: usize = 3;
 const SWEEPS: [usize; 2] = [8, 3];
 /// Number of views that may confirm a depth.
 const NUM_WITNESSES: usize = 10;
+/// With so few witnesses cameras stand far apart, and seldom do two of them see a place: one has to do.
+const FEW_WITNESSES: usize = 3;
+/// Matching cost above which a depth is a guess: where several views agree, and where two have to do.
+const MAX_COST: f32 = 0.6;
+const MAX_COST_OF_TWO: f32 = 0.3;
 /// Factors of the smallest and the largest confirmed inverse depth at the coarsest level, which bound the background.
 const RANGE_MARGIN: [f32; 2] = [0.6, 1.6];
 /// Share of foreground among the points, where there is any.
@@ -101,7 +106,7 @@ const MAX_HIDDEN_FROM: usize = 1;
 ///
 /// # Errors
 /// [`PrepareError`] if the capture has fewer than three training cameras, or images of fewer than 16 pixels each way,
-/// or if an image cannot be decoded. Also if no three views agree on any depth, as when cameras are wrong;
+/// or if an image cannot be decoded. Also if no views agree on any depth, as when cameras are wrong;
 /// [`check`](crate::check) looks for the reason. Also if no three cameras look at the same place and no masks give a
 /// visual hull.
 pub fn stereo_points(
@@ -280,24 +285,40 @@ impl Stereo {
     }
 
     fn fuse(&self) -> Fused {
-        let beliefs: Vec<Belief> = self.maps.iter().map(Belief::of).collect();
+        let num_pixels: usize = self.vantages.iter().map(|v| v.gray.len()).sum();
+        let mut sure: Vec<SureDepths> = self.vantages.iter().map(|v| SureDepths::unknown(&v.pinhole)).collect();
+        let mut points = self.join(&mut sure, MAX_COST, |witnesses| {
+            let min_agreeing = if witnesses < 6 { 2 } else { 3 };
+            Some(Rule { same_depth: 0.02, same_place_px: 1.5, min_agreeing })
+        });
+        points.extend(self.join(&mut sure, MAX_COST_OF_TWO, |witnesses| {
+            (witnesses <= FEW_WITNESSES).then_some(Rule { same_depth: 0.01, same_place_px: 1.0, min_agreeing: 1 })
+        }));
+        Fused { sure, agreement: points.len() as f64 / num_pixels.max(1) as f64, points }
+    }
+
+    /// Adds the depths on which views agree, of pixels without a sure depth. The points hide no depth that was sure
+    /// before.
+    ///
+    /// - `max_cost`: matching cost from which a depth is a guess
+    /// - `rule`: by the number of a view's witnesses; none if its depths do not count
+    fn join(&self, sure: &mut [SureDepths], max_cost: f32, rule: impl Fn(usize) -> Option<Rule> + Sync) -> Vec<Point> {
+        let beliefs: Vec<Belief> = self.maps.iter().map(|map| Belief::of(map, max_cost)).collect();
         let agreed_in = |of: usize| {
             let witnesses = &self.witnesses[of];
-            let min_agreeing = if witnesses.len() < 6 { 2 } else { 3 };
-            let rule = Rule { same_depth: 0.02, same_place_px: 1.5, min_agreeing };
-            let pinhole = &self.vantages[of].pinhole;
-            let mut sure = SureDepths { depths: vec![0.0; pinhole.width * pinhole.height] };
-            let found = agreed(&self.vantages, &beliefs, &rule, of, witnesses, |_| true);
-            for &(pixel, point) in &found {
-                sure.depths[pixel] = pinhole.camera_point(point.position)[2];
-            }
-            (sure, found.into_iter().map(|(_, point)| point).collect())
+            let Some(rule) = rule(witnesses.len()) else { return Vec::new() };
+            let is_unsure = |pixel: usize| sure[of].depths[pixel] == 0.0;
+            let mut found = agreed(&self.vantages, &beliefs, &rule, of, witnesses, is_unsure);
+            found.retain(|(_, point)| num_hidden_from(&self.vantages, sure, point.position) == 0);
+            found
         };
-        let (sure, points): (Vec<SureDepths>, Vec<Vec<Point>>) =
-            (0..self.vantages.len()).into_par_iter().map(agreed_in).unzip();
-        let num_pixels: usize = self.vantages.iter().map(|v| v.gray.len()).sum();
-        let points = points.concat();
-        Fused { sure, agreement: points.len() as f64 / num_pixels.max(1) as f64, points }
+        let found: Vec<Vec<(usize, Point)>> = (0..self.vantages.len()).into_par_iter().map(agreed_in).collect();
+        for ((sure, vantage), found) in sure.iter_mut().zip(&self.vantages).zip(&found) {
+            for (pixel, point) in found {
+                sure.depths[*pixel] = vantage.pinhole.camera_point(point.position)[2];
+            }
+        }
+        found.into_iter().flatten().map(|(_, point)| point).collect()
     }
 
     fn points(&self, fused: &Fused, num_points: usize) -> Prepared {
