@@ -25,42 +25,37 @@ fn distances(prepared: &Prepared, foreground: bool, origin: Origin) -> Vec<f64> 
     distances
 }
 
+/// Checks the number of points of an origin, and limits of their distances at some shares of them. In metres, for a room
+/// 5.4 m wide where a pixel of 128 sees 2 to 4 cm.
+fn check(prepared: &Prepared, foreground: bool, origin: Origin, at_least: usize, limits: [(f64, f64); 2]) {
+    let distances = distances(prepared, foreground, origin);
+    assert!(distances.len() >= at_least, "{foreground} {origin:?}: {} points", distances.len());
+    for (share, limit) in limits {
+        let found = distances[(share * (distances.len() - 1) as f64) as usize];
+        assert!(found < limit, "{foreground} {origin:?}: {share} of the points within {found}");
+    }
+}
+
 #[test]
 fn points_lie_on_the_true_surfaces() {
     let (_folder, capture) = synthetic(&SyntheticSettings::default());
     let prepared = prepared(&capture, &StereoSettings { num_points: 8000, ..StereoSettings::default() });
-    // Limits in metres at some shares of the points, for a room 5.4 m wide where a pixel of 128 sees 2 to 4 cm.
-    let check = |foreground: bool, origin: Origin, at_least: usize, limits: [(f64, f64); 2]| {
-        let distances = distances(&prepared, foreground, origin);
-        assert!(distances.len() >= at_least, "{foreground} {origin:?}: {} points", distances.len());
-        for (share, limit) in limits {
-            let found = distances[(share * (distances.len() - 1) as f64) as usize];
-            assert!(found < limit, "{foreground} {origin:?}: {share} of the points within {found}");
-        }
-    };
-    check(true, Origin::Triangulated, 1500, [(0.5, 0.015), (0.9, 0.05)]);
-    check(true, Origin::Hull, 100, [(0.5, 0.03), (0.9, 0.06)]);
-    check(false, Origin::Triangulated, 3000, [(0.5, 0.015), (0.9, 0.1)]);
-    check(false, Origin::Filled, 300, [(0.5, 0.16), (0.9, 0.45)]);
-    check(false, Origin::Shell, 100, [(0.5, 0.25), (0.9, 0.6)]);
+    check(&prepared, true, Origin::Triangulated, 1500, [(0.5, 0.015), (0.9, 0.05)]);
+    check(&prepared, true, Origin::Hull, 100, [(0.5, 0.03), (0.9, 0.06)]);
+    check(&prepared, false, Origin::Triangulated, 3000, [(0.5, 0.015), (0.9, 0.1)]);
+    check(&prepared, false, Origin::Filled, 300, [(0.5, 0.16), (0.9, 0.45)]);
+    check(&prepared, false, Origin::Shell, 100, [(0.5, 0.25), (0.9, 0.6)]);
     assert!((6000..=8000).contains(&prepared.cloud.points.len()), "{}", prepared.cloud.points.len());
     assert!((0.2..1.0).contains(&prepared.agreement), "{}", prepared.agreement);
 }
 
 #[test]
 fn two_views_have_to_do_where_cameras_stand_far_apart() {
-    for n in [4, 5, 6, 7] {
-    let settings = SyntheticSettings { num_train_cameras: n, num_test_cameras: 0, ..SyntheticSettings::default() };
+    let settings = SyntheticSettings { num_train_cameras: 4, num_test_cameras: 0, ..SyntheticSettings::default() };
     let (_folder, capture) = synthetic(&settings);
     let prepared = prepared(&capture, &StereoSettings { num_points: 8000, ..StereoSettings::default() });
-    for foreground in [true, false] {
-        for origin in [Origin::Triangulated, Origin::Filled, Origin::Shell] {
-        let distances = distances(&prepared, foreground, origin);
-        let at = |share: f64| distances.get((share * (distances.len() as f64 - 1.0)) as usize);
-        println!("{n} {origin:?} {foreground} {} {:?} {:?}", distances.len(), at(0.5), at(0.9));
-        }
-    }
-    }
+    check(&prepared, true, Origin::Triangulated, 1000, [(0.5, 0.015), (0.9, 0.05)]);
+    check(&prepared, false, Origin::Triangulated, 1800, [(0.5, 0.015), (0.9, 0.06)]);
 }
 
 #[test]
