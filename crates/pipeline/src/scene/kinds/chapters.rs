@@ -2,17 +2,20 @@
 //! (`train::chapter`).
 
 use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use tcgs_codec::CompressSettings;
-use tcgs_core::{Gaussians, Layout};
-use tcgs_train::TrainError;
+use tcgs_core::{Drawable, Gaussians, Layout};
 
-use super::Content;
-use crate::{OpenScene, PipelineError};
+use super::run::RunContent;
+use crate::PipelineError;
+use crate::scene::content::MaskLogits;
+use crate::scene::{OpenScene, SceneContent};
 
 /// Chapters and the frames that each contributes.
 #[derive(Debug)]
-pub(crate) struct Chapters {
+struct Chapters {
     /// Two or more runs, by their first frames.
     scenes: Vec<OpenScene>,
     /// The frames that each contributes; together, all frames of the joined scene.
@@ -20,63 +23,89 @@ pub(crate) struct Chapters {
     segment_length: u32,
 }
 
+/// See [`OpenScene::join`].
+///
+/// - `scenes`: two or more
+pub(crate) fn join(mut scenes: Vec<OpenScene>, segment_length: Option<u32>) -> Result<OpenScene, PipelineError> {
+    scenes.sort_by_key(|scene| scene.frames().start);
+    check(&scenes)?;
+    let all = scenes[0].frames().start..scenes.last().map_or(0, |last| last.frames().end);
+    let num_gaussians = scenes[0].num_gaussians_at(0);
+    let settings = CompressSettings { segment_length, ..CompressSettings::default() };
+    let segment_length = settings.segment_length_of(num_gaussians, all.len());
+    let mut starts = vec![all.start];
+    for pair in scenes.windows(2) {
+        let (later, end) = (pair[1].frames().start, pair[0].frames().end);
+        // A chapter's first timestep still catches up with a distant start, so a border comes after it.
+        let earliest = later.max(starts[starts.len() - 1]) + 1;
+        let border = all.start + (end - all.start) / segment_length as usize * segment_length as usize;
+        starts.push(if border >= earliest { border } else { end });
+    }
+    let ends = starts[1..].iter().copied().chain([all.end]);
+    let frames: Vec<Range<usize>> = starts.iter().zip(ends).map(|(&start, end)| start..end).collect();
+    let first = &scenes[0];
+    Ok(OpenScene {
+        path: first.path.clone(),
+        first_frame: first.first_frame,
+        downscale: first.downscale,
+        frame_rate: first.frame_rate,
+        bytes: first.layout.raw_bytes(num_gaussians, all.len()),
+        kind: "run folders",
+        num_timesteps: all.len(),
+        num_identities: first.num_identities,
+        layout: Arc::clone(&first.layout),
+        content: Box::new(Chapters { scenes, frames, segment_length }),
+    })
+}
+
 impl Chapters {
-    /// See [`OpenScene::join`].
-    pub fn join(mut scenes: Vec<OpenScene>, segment_length: Option<u32>) -> Result<Self, PipelineError> {
-        scenes.sort_by_key(|scene| scene.frames().start);
-        check(&scenes)?;
-        let all = scenes[0].frames().start..scenes.last().map_or(0, |last| last.frames().end);
-        let settings = CompressSettings { segment_length, ..CompressSettings::default() };
-        let segment_length = settings.segment_length_of(scenes[0].num_gaussians_at(0), all.len());
-        let mut starts = vec![all.start];
-        for pair in scenes.windows(2) {
-            let (later, end) = (pair[1].frames().start, pair[0].frames().end);
-            // A chapter's first timestep still catches up with a distant start, so a border comes after it.
-            let earliest = later.max(starts[starts.len() - 1]) + 1;
-            let border = all.start + (end - all.start) / segment_length as usize * segment_length as usize;
-            starts.push(if border >= earliest { border } else { end });
-        }
-        let ends = starts[1..].iter().copied().chain([all.end]);
-        let frames = starts.iter().zip(ends).map(|(&start, end)| start..end).collect();
-        Ok(Self { scenes, frames, segment_length })
-    }
-
-    pub fn first(&self) -> &OpenScene {
-        &self.scenes[0]
-    }
-
-    pub fn scenes(&self) -> &[OpenScene] {
-        &self.scenes
-    }
-
-    pub fn segment_length(&self) -> u32 {
-        self.segment_length
-    }
-
-    pub fn num_timesteps(&self) -> usize {
-        self.frames.iter().map(ExactSizeIterator::len).sum()
+    fn first(&self) -> &dyn SceneContent {
+        &*self.scenes[0].content
     }
 
     /// The chapter that shows a timestep, and the timestep's index in it.
     ///
     /// # Panics
     /// If there is no such timestep.
-    pub fn place(&self, timestep: usize) -> (&OpenScene, usize) {
+    fn place(&self, timestep: usize) -> (&OpenScene, usize) {
         let frame = self.frames[0].start + timestep;
         let chapter = self.frames.iter().position(|frames| frames.contains(&frame));
         let chapter = &self.scenes[chapter.expect("a timestep of the scene")];
         (chapter, frame - chapter.first_frame)
     }
+}
 
-    /// Mask logits of every timestep, one after another.
-    pub fn mask_logits(&self) -> impl Iterator<Item = Result<Vec<f32>, TrainError>> {
-        self.scenes.iter().zip(&self.frames).flat_map(|(scene, frames)| {
-            let logits = match &scene.content {
-                Content::Run(run) => Some(run.mask_logits()),
-                _ => None,
-            };
-            logits.into_iter().flatten().skip(frames.start - scene.first_frame).take(frames.len())
-        })
+impl SceneContent for Chapters {
+    fn at(&self, timestep: usize) -> Result<Gaussians, PipelineError> {
+        let (chapter, timestep) = self.place(timestep);
+        chapter.at(timestep)
+    }
+
+    fn drawn(&self, timestep: usize) -> Result<Drawable, PipelineError> {
+        let (chapter, timestep) = self.place(timestep);
+        chapter.drawn(timestep)
+    }
+
+    fn files(&self, _: &Path) -> Vec<PathBuf> {
+        self.scenes.iter().flat_map(|scene| scene.content.files(&scene.path)).collect()
+    }
+
+    fn segment_length(&self) -> Option<u32> {
+        Some(self.segment_length)
+    }
+
+    fn foreground(&self, _: usize) -> Result<Option<Vec<bool>>, PipelineError> {
+        self.first().foreground(0)
+    }
+
+    fn run(&self) -> Option<&RunContent> {
+        self.first().run()
+    }
+
+    fn mask_logits(&self) -> MaskLogits<'_> {
+        Box::new(self.scenes.iter().zip(&self.frames).flat_map(|(scene, frames)| {
+            scene.content.mask_logits().skip(frames.start - scene.first_frame).take(frames.len())
+        }))
     }
 }
 
