@@ -33,16 +33,7 @@ pub(crate) fn join(mut scenes: Vec<OpenScene>, segment_length: Option<u32>) -> R
     let num_gaussians = scenes[0].num_gaussians_at(0);
     let settings = CompressSettings { segment_length, ..CompressSettings::default() };
     let segment_length = settings.segment_length_of(num_gaussians, all.len());
-    let mut starts = vec![all.start];
-    for pair in scenes.windows(2) {
-        let (later, end) = (pair[1].frames().start, pair[0].frames().end);
-        // A chapter's first timestep still catches up with a distant start, so a border comes after it.
-        let earliest = later.max(starts[starts.len() - 1]) + 1;
-        let border = all.start + (end - all.start) / segment_length as usize * segment_length as usize;
-        starts.push(if border >= earliest { border } else { end });
-    }
-    let ends = starts[1..].iter().copied().chain([all.end]);
-    let frames: Vec<Range<usize>> = starts.iter().zip(ends).map(|(&start, end)| start..end).collect();
+    let frames = shares(&scenes, &all, segment_length as usize);
     let first = &scenes[0];
     Ok(OpenScene {
         path: first.path.clone(),
@@ -56,6 +47,20 @@ pub(crate) fn join(mut scenes: Vec<OpenScene>, segment_length: Option<u32>) -> R
         layout: Arc::clone(&first.layout),
         content: Box::new(Chapters { scenes, frames, segment_length }),
     })
+}
+
+/// The frames that each scene contributes: up to the last border of segments after the next one begins, or up to its end.
+fn shares(scenes: &[OpenScene], all: &Range<usize>, segment_length: usize) -> Vec<Range<usize>> {
+    let mut starts = vec![all.start];
+    for pair in scenes.windows(2) {
+        let (later, end) = (pair[1].frames().start, pair[0].frames().end);
+        // A chapter's first timestep still catches up with a distant start, so a border comes after it.
+        let earliest = later.max(starts[starts.len() - 1]) + 1;
+        let border = all.start + (end - all.start) / segment_length * segment_length;
+        starts.push(if border >= earliest { border } else { end });
+    }
+    let ends = starts[1..].iter().copied().chain([all.end]);
+    starts.iter().zip(ends).map(|(&start, end)| start..end).collect()
 }
 
 impl Chapters {
@@ -111,49 +116,61 @@ impl SceneContent for Chapters {
 
 /// Whether runs, by their first frames, are chapters of one scene.
 fn check(scenes: &[OpenScene]) -> Result<(), PipelineError> {
-    let refuse = |scene: &OpenScene, found: String, expected: String| {
-        Err(PipelineError::input(scene.path.display(), found, expected))
-    };
     if let Some(scene) = scenes.iter().find(|scene| scene.run().is_none()) {
-        return refuse(scene, format!("is a {}", scene.kind()), "run folders where several are joined".into());
+        return refuse(scene, format!("is a {}", scene.kind()), "run folders where several are joined");
     }
     if let Some(scene) = scenes.iter().find(|scene| scene.lives().is_some()) {
         let expected = "the same at all timesteps where runs are joined: chapters that start from a run of one frame, or \
                         births.enabled=false and deaths.patience=0";
-        return refuse(scene, "has Gaussians that are born or die".into(), expected.into());
+        return refuse(scene, "has Gaussians that are born or die", expected);
     }
     for pair in scenes.windows(2) {
-        let (before, scene, first) = (&pair[0], &pair[1], &scenes[0]);
-        let (frames, end) = (scene.frames(), before.frames().end);
-        if frames.start > end {
-            let expected = format!("frame {end} or an earlier one, where {} ends", before.path.display());
-            return refuse(scene, format!("begins at frame {}", frames.start), expected);
-        }
-        if frames.end <= end {
-            let expected = format!("more, since {} ends there or later", before.path.display());
-            return refuse(scene, format!("ends with frame {}", frames.end - 1), expected);
-        }
-        let (found, expected) = (scene.num_gaussians_at(0), first.num_gaussians_at(0));
-        let as_first = format!(
-            "those of {} in the same order, since a .tcgs file has the same Gaussians at all timesteps: \
-             chapters start from one run (train --start-from)",
-            first.path.display()
-        );
-        if found != expected {
-            return refuse(scene, format!("has {found} Gaussians, not {expected}"), as_first);
-        }
-        let constants = [first, scene].map(|scene| scene.first_checkpoint().map(|c| &c.parameters.gaussians));
-        if let [Some(of_first), Some(own)] = constants
-            && let Some(column) = first_difference(of_first, own)
-        {
-            return refuse(scene, format!("has other {column}"), as_first);
-        }
-        let told = [first, scene].map(|scene| (scene.downscale, scene.frame_rate));
-        if told[0] != told[1] {
-            let said = |(downscale, rate)| format!("downscale {downscale} and frame rate {rate}");
-            let expected = format!("{} as {}", said(told[0]), first.path.display());
-            return refuse(scene, format!("has {}", said(told[1])), expected);
-        }
+        check_frames(&pair[0], &pair[1])?;
+        check_gaussians(&scenes[0], &pair[1])?;
+    }
+    Ok(())
+}
+
+fn refuse(scene: &OpenScene, found: impl Into<String>, expected: impl Into<String>) -> Result<(), PipelineError> {
+    Err(PipelineError::input(scene.path.display(), found, expected))
+}
+
+/// Whether a chapter continues the one before it.
+fn check_frames(before: &OpenScene, scene: &OpenScene) -> Result<(), PipelineError> {
+    let (frames, end) = (scene.frames(), before.frames().end);
+    if frames.start > end {
+        let expected = format!("frame {end} or an earlier one, where {} ends", before.path.display());
+        return refuse(scene, format!("begins at frame {}", frames.start), expected);
+    }
+    if frames.end <= end {
+        let expected = format!("more, since {} ends there or later", before.path.display());
+        return refuse(scene, format!("ends with frame {}", frames.end - 1), expected);
+    }
+    Ok(())
+}
+
+/// Whether a chapter has the Gaussians of the first, at the same scale and rate.
+fn check_gaussians(first: &OpenScene, scene: &OpenScene) -> Result<(), PipelineError> {
+    let (found, expected) = (scene.num_gaussians_at(0), first.num_gaussians_at(0));
+    let as_first = format!(
+        "those of {} in the same order, since a .tcgs file has the same Gaussians at all timesteps: \
+         chapters start from one run (train --start-from)",
+        first.path.display()
+    );
+    if found != expected {
+        return refuse(scene, format!("has {found} Gaussians, not {expected}"), as_first);
+    }
+    let constants = [first, scene].map(|scene| scene.first_checkpoint().map(|c| &c.parameters.gaussians));
+    if let [Some(of_first), Some(own)] = constants
+        && let Some(column) = first_difference(of_first, own)
+    {
+        return refuse(scene, format!("has other {column}"), as_first);
+    }
+    let told = [first, scene].map(|scene| (scene.downscale, scene.frame_rate));
+    if told[0] != told[1] {
+        let said = |(downscale, rate)| format!("downscale {downscale} and frame rate {rate}");
+        let expected = format!("{} as {}", said(told[0]), first.path.display());
+        return refuse(scene, format!("has {}", said(told[1])), expected);
     }
     Ok(())
 }
