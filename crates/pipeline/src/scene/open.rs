@@ -44,7 +44,8 @@ pub enum CutFiles {
     /// Refuse the file.
     #[default]
     Refuse,
-    /// Read the whole segments: [`SceneFile::recover`](tcgs_codec::SceneFile::recover). [`OpenScene::loss`] tells the missing ones.
+    /// Read the whole segments, as [`SceneFile::recover`](tcgs_codec::SceneFile::recover) does. [`OpenScene::loss`]
+    /// tells the missing ones.
     Recover,
 }
 
@@ -54,8 +55,8 @@ impl OpenScene {
     ///
     /// Opening reads the first timestep of a run and the headers of a sequence of files; the rest is read on demand. A
     /// segment of a `.tcgs` file is decoded when one of its timesteps is requested. A `params.npz` is read through and
-    /// checked at once, and its timesteps are read again on demand. A compressed one is held in memory ([`ParamsNpz`](tcgs_interchange::ParamsNpz)),
-    /// and so is a `.4dgs` file.
+    /// checked at once, and its timesteps are read again on demand. A compressed `params.npz` is held in memory
+    /// ([`ParamsNpz`](tcgs_interchange::ParamsNpz)), and so is a `.4dgs` file.
     ///
     /// A folder may be the output folder of a program that trains 3D Gaussian splatting, or the folder `point_cloud` in
     /// it. Then the file `iteration_N/point_cloud.ply` of the highest iteration is opened, and [`OpenScene::path`] is
