@@ -75,7 +75,8 @@ pub(super) enum Hypothesis {
 
 /// - `views`: in the size they are compared at
 /// - `pixels_per`: pixels of the capture's images for one of those
-pub(super) fn judge(splats: &Splats, views: &[View], pixels_per: usize) -> Vec<Judged> {
+/// - `may_accuse`: whether the points are evidence against a camera whose mistake is unknown
+pub(super) fn judge(splats: &Splats, views: &[View], pixels_per: usize, may_accuse: bool) -> Vec<Judged> {
     let vantages: Vec<Vantage> = views.par_iter().map(|view| Vantage::new(view, 1)).collect();
     let drawings: Vec<_> = vantages.par_iter().map(|vantage| splats.draw(&vantage.pinhole)).collect();
     let point_smoothness = splats.smoothness();
@@ -149,14 +150,14 @@ pub(super) fn judge(splats: &Splats, views: &[View], pixels_per: usize) -> Vec<J
             Judged { fit: given, verdict }
         })
         .collect();
-    sober(judged)
+    sober(judged, may_accuse)
 }
 
 /// Withdraws verdicts that the likeness of all cameras together does not support.
-fn sober(mut judged: Vec<Judged>) -> Vec<Judged> {
+fn sober(mut judged: Vec<Judged>, may_accuse: bool) -> Vec<Judged> {
     let fits: Vec<f64> = judged.iter().filter_map(|judged| judged.fit).collect();
     let num_healthy = fits.iter().filter(|&&fit| fit > HEALTHY_FIT).count();
-    let may_accuse = num_healthy as f64 >= MOST * fits.len() as f64;
+    let may_accuse = may_accuse && num_healthy as f64 >= MOST * fits.len() as f64;
     for of in &mut judged {
         let is_alike = of.fit.is_some_and(|fit| fit > HEALTHY_FIT);
         match of.verdict {
@@ -345,13 +346,15 @@ mod tests {
     #[test]
     fn likeness_restrains_the_verdict() {
         let wrong = Verdict::Wrong(Hypothesis::Inverted);
-        let verdicts = |given: &[(f64, Verdict)]| -> Vec<Verdict> {
+        let sobered = |given: &[(f64, Verdict)], may_accuse: bool| -> Vec<Verdict> {
             let judged = given.iter().map(|&(fit, verdict)| Judged { fit: Some(fit), verdict }).collect();
-            sober(judged).into_iter().map(|judged| judged.verdict).collect()
+            sober(judged, may_accuse).into_iter().map(|judged| judged.verdict).collect()
         };
+        let verdicts = |given: &[(f64, Verdict)]| sobered(given, true);
         use Verdict::{Fits, Lost, Undecided};
         assert_eq!(verdicts(&[(0.9, Fits), (0.4, Fits), (0.8, Fits)]), [Fits, Undecided, Fits]);
         assert_eq!(verdicts(&[(0.9, Fits), (0.1, Lost), (0.8, Fits)]), [Fits, Lost, Fits]);
+        assert_eq!(sobered(&[(0.9, wrong), (0.1, Lost), (0.8, Fits)], false), [wrong, Undecided, Fits]);
         // Where most cameras are unlike their points, the points are suspect.
         assert_eq!(verdicts(&[(0.6, Fits), (0.1, Lost), (0.3, Fits)]), [Fits, Undecided, Undecided]);
         assert_eq!(verdicts(&[(0.1, wrong), (0.2, wrong)]), [wrong, wrong]);

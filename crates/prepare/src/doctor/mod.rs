@@ -254,7 +254,8 @@ pub fn check(capture: &Capture, report: &mut dyn FnMut(&str)) -> Result<Diagnosi
     let (splats, evidence) = (Splats::new(&cloud), Splats::new(&evidence));
     // A mistake of all cameras was already reported, and the points are made with its correction.
     let is_judged = findings.len() == num_of_numbers;
-    let judged = if is_judged { geometry::judge(&evidence, &views, downscale) } else { Vec::new() };
+    let may_accuse = measured_share.is_none() || !stereo::are_far_apart(&views[..num_train]);
+    let judged = if is_judged { geometry::judge(&evidence, &views, downscale, may_accuse) } else { Vec::new() };
     findings.extend(geometry::findings(&views[..judged.len()], &judged, &names));
     report("comparing masks with points");
     findings.extend(masks::findings(&views, &splats));

@@ -155,6 +155,13 @@ pub(crate) fn check_comparable(capture: &Capture, views: &[View]) -> Result<(), 
     Err(PrepareError::FarApart { path: capture.path().into(), degrees })
 }
 
+/// Whether two views have to do for half of the cameras or more. The points of such cameras may follow a wrong one.
+pub(crate) fn are_far_apart(views: &[View]) -> bool {
+    let pinholes = pinholes(views);
+    let has_few = |&i: &usize| patchmatch::neighbors(&pinholes, i, NUM_WITNESSES).len() <= FEW_WITNESSES;
+    2 * (0..pinholes.len()).filter(has_few).count() >= pinholes.len()
+}
+
 fn pinholes(views: &[View]) -> Vec<Pinhole<f32>> {
     views.iter().map(|view| Pinhole::new(&view.camera)).collect()
 }

@@ -45,6 +45,7 @@ fn points_lie_on_the_true_surfaces() {
     check(&prepared, false, Origin::Triangulated, 3000, [(0.5, 0.015), (0.9, 0.1)]);
     check(&prepared, false, Origin::Filled, 300, [(0.5, 0.16), (0.9, 0.45)]);
     check(&prepared, false, Origin::Shell, 100, [(0.5, 0.25), (0.9, 0.6)]);
+    assert!(!are_far_apart(&capture.views(Split::Train, 0, 1).unwrap()));
     assert!((6000..=8000).contains(&prepared.cloud.points.len()), "{}", prepared.cloud.points.len());
     assert!((0.2..1.0).contains(&prepared.agreement), "{}", prepared.agreement);
 }
@@ -54,6 +55,7 @@ fn two_views_have_to_do_where_cameras_stand_far_apart() {
     let settings = SyntheticSettings { num_train_cameras: 4, num_test_cameras: 0, ..SyntheticSettings::default() };
     let (_folder, capture) = synthetic(&settings);
     let prepared = prepared(&capture, &StereoSettings { num_points: 8000, ..StereoSettings::default() });
+    assert!(are_far_apart(&capture.views(Split::Train, 0, 1).unwrap()));
     check(&prepared, true, Origin::Triangulated, 1000, [(0.5, 0.015), (0.9, 0.05)]);
     check(&prepared, false, Origin::Triangulated, 1800, [(0.5, 0.015), (0.9, 0.06)]);
 }
