@@ -192,8 +192,7 @@ fn ctrl_c_ends(command: &mut Command, number: &Path, hanging: &str) {
     child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
     // Ctrl-C ends a command at once before the command catches it.
     assert!([Some(130), None].contains(&status.code()), "{hanging}: {status:?} {said}");
-    // A killed process may still have to be scheduled to end, and the process that adopts it is slow to collect its exit
-    // status.
+    // A killed process ends when it is scheduled next. Its adopting process may collect the exit status later.
     let goes_on = || {
         let stat = fs::read_to_string(format!("/proc/{}/stat", hung.trim())).unwrap_or_default();
         !stat.is_empty() && !stat.contains(") Z ")

@@ -1,5 +1,5 @@
-//! The questions that [`OpenScene`](super::OpenScene) asks its content. What lives here: the trait. What does not: the
-//! kinds that implement it (`kinds`), and what is fixed when a scene is opened, which is a field of `OpenScene`.
+//! The questions that [`OpenScene`](super::OpenScene) asks its content. What lives here: the trait. What does not: its
+//! implementations (`kinds`), and values that are fixed when a scene is opened: these are fields of `OpenScene`.
 
 use std::borrow::Cow;
 use std::fmt::Debug;

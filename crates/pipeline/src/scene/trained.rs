@@ -1,4 +1,4 @@
-//! What training leaves beside Gaussians: the run, its capture, lives, bits and masks.
+//! Results of training beside Gaussians: the run, its capture, lives, bits and masks.
 
 use std::path::Path;
 

@@ -68,8 +68,9 @@ const SWEEPS: [usize; 2] = [8, 3];
 const NUM_WITNESSES: usize = 10;
 /// With so few witnesses cameras stand far apart, and seldom do two of them see a place: one has to do.
 const FEW_WITNESSES: usize = 3;
-/// Matching cost above which a depth is a guess: where several views agree, and where two have to do.
+/// Depths at a higher matching cost are guesses.
 const MAX_COST: f32 = 0.6;
+/// The same for cameras with [`FEW_WITNESSES`].
 const MAX_COST_OF_TWO: f32 = 0.3;
 /// Factors of the smallest and the largest confirmed inverse depth at the coarsest level, which bound the background.
 const RANGE_MARGIN: [f32; 2] = [0.6, 1.6];

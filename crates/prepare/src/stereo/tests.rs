@@ -25,8 +25,8 @@ fn distances(prepared: &Prepared, foreground: bool, origin: Origin) -> Vec<f64> 
     distances
 }
 
-/// Checks the number of points of an origin, and limits of their distances at some shares of them. In metres, for a room
-/// 5.4 m wide where a pixel of 128 sees 2 to 4 cm.
+/// Checks the number of points of an origin, and limits of their distances at some shares of them, metres. The room is
+/// 5.4 m wide, and a pixel of 128 sees 2 to 4 cm.
 fn check(prepared: &Prepared, foreground: bool, origin: Origin, at_least: usize, limits: [(f64, f64); 2]) {
     let distances = distances(prepared, foreground, origin);
     assert!(distances.len() >= at_least, "{foreground} {origin:?}: {} points", distances.len());

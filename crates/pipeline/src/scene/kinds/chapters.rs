@@ -49,7 +49,7 @@ pub(crate) fn join(mut scenes: Vec<OpenScene>, segment_length: Option<u32>) -> R
     })
 }
 
-/// The frames that each scene contributes: up to the last border of segments after the next one begins, or up to its end.
+/// The frames of each scene that count: up to the last border of segments after the next one begins, or up to its end.
 fn shares(scenes: &[OpenScene], all: &Range<usize>, segment_length: usize) -> Vec<Range<usize>> {
     let mut starts = vec![all.start];
     for pair in scenes.windows(2) {
@@ -120,8 +120,8 @@ fn check(scenes: &[OpenScene]) -> Result<(), PipelineError> {
         return refuse(scene, format!("is a {}", scene.kind()), "run folders where several are joined");
     }
     if let Some(scene) = scenes.iter().find(|scene| scene.lives().is_some()) {
-        let expected = "the same at all timesteps where runs are joined: chapters that start from a run of one frame, or \
-                        births.enabled=false and deaths.patience=0";
+        let expected = "the same at all timesteps where runs are joined: chapters that start from a run of one frame, \
+                        or births.enabled=false and deaths.patience=0";
         return refuse(scene, "has Gaussians that are born or die", expected);
     }
     for pair in scenes.windows(2) {

@@ -1,5 +1,5 @@
-//! The kinds of scenes: a file for each, with its recognition, its opening and its answers ([`SceneContent`]). What does
-//! not live here: the choice of a kind (`open`).
+//! The kinds of scenes: a file for each, with its recognition, its opening and its answers ([`SceneContent`]). What
+//! does not live here: the choice of a kind (`open`).
 //!
 //! A new kind is a file with a [`SceneKind`], and a line in [`KINDS`].
 //!
