@@ -5,7 +5,7 @@
 //! | `params.npz` of Dynamic 3D Gaussians | [`read_params_npz`], [`ParamsNpz`], [`read_params_origin`], [`read_params_foreground`] | [`write_params_npz`] |
 //! | one file per timestep: any of the following, also of several kinds | [`TimestepFiles`], [`read_gaussians`] | – |
 //! | PLY of 3D Gaussian splatting | [`read_ply`] | [`write_ply_to`] |
-//! | compressed PLY of `SuperSplat` and splat-transform | [`read_ply`] | – |
+//! | compressed PLY of `SuperSplat` and splat-transform | [`read_ply`] | [`write_compressed_ply_to`] |
 //! | SPZ, versions 2 to 4 | [`read_gaussians`] | – |
 //! | glTF with `KHR_gaussian_splatting`, `.glb` and `.gltf` | [`read_gaussians`] | [`write_glb_to`], `.glb` |
 //! | `.4dgs`, a whole scene | [`FourdgsFile`] | [`fourdgs_bytes`] |
@@ -29,8 +29,11 @@ mod params_npz;
 mod ply;
 mod ply_points;
 mod settings;
+mod space_order;
 mod spz;
 mod stored;
+#[cfg(test)]
+mod testing;
 mod timestep_files;
 mod unfinished;
 mod unread;
@@ -47,9 +50,10 @@ pub use params_npz::{
     ParamsExtras, ParamsNpz, ParamsOrigin, read_params_foreground, read_params_npz, read_params_origin,
     write_params_npz, write_params_npz_from, write_params_npz_to,
 };
-pub use ply::{read_ply, write_ply_to};
+pub use ply::{read_ply, write_compressed_ply_to, write_ply_to};
 pub use ply_points::read_ply_points;
 pub use settings::{HigherHarmonics, ReadLimits, ReadSettings};
+pub use space_order::space_order;
 pub use timestep_files::TimestepFiles;
 pub use unfinished::{
     ABANDONED, Existing, Kept, Unfinished, is_unfinished, moving, parent_folder, remove_held, remove_unfinished,

@@ -13,8 +13,9 @@
 //! | | `packed_rotation` | 2: which of `w, x, y, z` is largest; 10, 10, 10: the others | `√2 (unorm - ½)`; the largest follows, positive |
 //! | `sh` | `f_rest_0` to `f_rest_44` | 8 | `8 (n - ½)` with `n = (byte + ½) / 256`, and 0 or 1 for bytes 0 and 255 |
 //!
-//! Errors of positions, scales, colours and opacities are therefore at most half a step, those of `f_rest` 1/64 between
-//! -4 and 4.
+//! Errors of positions, scales, colours and opacities are therefore at most half a step. Those of `f_rest` between -4
+//! and 4 are at most 1/64, and 3/128 next to -4 and 4, if a writer takes the nearest byte. What does not live here:
+//! writing (`pack`).
 
 use std::fs::File;
 use std::io::BufReader;
@@ -28,10 +29,10 @@ use super::vertex::{REQUIRED, Vertex};
 use crate::stored::logit_of_byte;
 
 /// Rows of `vertex` that share a row of `chunk`.
-const CHUNK: usize = 256;
+pub const CHUNK: usize = 256;
 
 /// Properties that a row of `chunk` has in every file.
-const RANGES: [&str; 12] = [
+pub const RANGES: [&str; 12] = [
     "min_x",
     "min_y",
     "min_z",
@@ -45,8 +46,10 @@ const RANGES: [&str; 12] = [
     "max_scale_y",
     "max_scale_z",
 ];
+/// Further properties of a row of `chunk` in newer files.
+pub const COLOR_RANGES: [&str; 6] = ["min_r", "min_g", "min_b", "max_r", "max_g", "max_b"];
 /// Properties of a row of `vertex`.
-const PACKED: [&str; 4] = ["packed_position", "packed_rotation", "packed_scale", "packed_color"];
+pub const PACKED: [&str; 4] = ["packed_position", "packed_rotation", "packed_scale", "packed_color"];
 
 /// The range of a chunk's values.
 #[derive(Deserialize)]

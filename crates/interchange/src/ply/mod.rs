@@ -1,5 +1,5 @@
 //! One PLY file of 3D Gaussian splatting (Kerbl et al. 2023): one timestep. What does not live here: the numbers of
-//! compressed files, which the same functions read (`compressed`).
+//! compressed files, which the same functions read (`compressed`), and writing these (`pack`).
 //!
 //! | property of `vertex` | here |
 //! |---|---|
@@ -25,6 +25,7 @@
 
 mod compressed;
 mod header;
+mod pack;
 mod vertex;
 
 use std::fs::File;
@@ -35,6 +36,7 @@ use serde_ply::{DeserializeError, ElementDef, PlyReader};
 use tcgs_core::{Gaussians, Layout, MAX_SH_DEGREE};
 
 pub(crate) use self::header::{least_bytes, open_header};
+pub use self::pack::write_compressed_ply_to;
 use self::vertex::{PROPERTIES, REQUIRED, Vertex};
 use crate::stored::{Head, checked, color_from_sh0, sh0_from_color};
 use crate::{Axes, HigherHarmonics, InterchangeError, ReadSettings};
