@@ -30,9 +30,14 @@ impl Axes {
     /// Right, up, back: OpenGL, and SPZ according to its README.
     pub const RUB: Self = Self([false, true, true]);
 
-    /// - `left`, `up`, `back`: whether x, y and z point there
-    pub(crate) fn new(left: bool, up: bool, back: bool) -> Self {
-        Self([left, up, back])
+    /// Each of the eight.
+    pub(crate) fn all() -> impl Iterator<Item = Self> {
+        (0..8).map(|bits| Self([bits & 1 != 0, bits & 2 != 0, bits & 4 != 0]))
+    }
+
+    /// Whether x points left, y up, and z back: against those of [`Self::RDF`].
+    pub(crate) fn against_rdf(self) -> [bool; 3] {
+        self.0
     }
 
     /// Rotates Gaussians from these axes to those of PLY files or back: the signs are the same.
@@ -79,8 +84,7 @@ impl FromStr for Axes {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        (0..8)
-            .map(|bits| Self([bits & 1 != 0, bits & 2 != 0, bits & 4 != 0]))
+        Self::all()
             .find(|axes| axes.to_string().eq_ignore_ascii_case(text))
             .ok_or_else(|| format!("{text:?} is no set of axes, expected three letters such as rdf, rub or luf"))
     }
@@ -113,8 +117,7 @@ mod tests {
         for band in gaussians.layout().harmonics() {
             gaussians.values_mut(band).iter_mut().enumerate().for_each(|(i, x)| *x = (i as f32 * 1.3).sin());
         }
-        for signs in 0..8 {
-            let axes = Axes::new(signs & 1 != 0, signs & 2 != 0, signs & 4 != 0);
+        for axes in Axes::all() {
             let sign: [f32; 3] = axes.0.map(|against| if against { -1.0 } else { 1.0 });
             let mut turned = gaussians.clone();
             axes.turn(&mut turned);

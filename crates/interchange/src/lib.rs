@@ -6,7 +6,7 @@
 //! | one file per timestep: any of the following, also of several kinds | [`TimestepFiles`], [`read_gaussians`] | – |
 //! | PLY of 3D Gaussian splatting | [`read_ply`] | [`write_ply_to`] |
 //! | compressed PLY of `SuperSplat` and splat-transform | [`read_ply`] | [`write_compressed_ply_to`] |
-//! | SPZ, versions 2 to 4 | [`read_gaussians`] | – |
+//! | SPZ, versions 2 to 4 | [`read_gaussians`] | [`write_spz_to`], version 4 |
 //! | glTF with `KHR_gaussian_splatting`, `.glb` and `.gltf` | [`read_gaussians`] | [`write_glb_to`], `.glb` |
 //! | `.4dgs`, a whole scene | [`FourdgsFile`] | [`fourdgs_bytes`] |
 //! | PLY of points | [`read_ply_points`] | – |
@@ -54,6 +54,7 @@ pub use ply::{read_ply, write_compressed_ply_to, write_ply_to};
 pub use ply_points::read_ply_points;
 pub use settings::{HigherHarmonics, ReadLimits, ReadSettings};
 pub use space_order::space_order;
+pub use spz::write_spz_to;
 pub use timestep_files::TimestepFiles;
 pub use unfinished::{
     ABANDONED, Existing, Kept, Unfinished, is_unfinished, moving, parent_folder, remove_held, remove_unfinished,

@@ -1,4 +1,5 @@
-//! One SPZ file of Niantic, versions 2 to 4: one timestep. What does not live here: what its bytes mean (`unpack`).
+//! One SPZ file of Niantic, versions 2 to 4: one timestep. Version 4 is written, too (`write`).
+//! What does not live here: what the bytes of the arrays mean (`unpack`).
 //!
 //! A header of 16 bytes, little-endian, in versions 2 and 3 the start of a gzip stream, in version 4 plain and followed
 //! by 16 more:
@@ -30,6 +31,7 @@
 //! Facts: README, `load-spz.cc` and `extensions/` of the format's library (MIT), release 3.0.
 
 mod unpack;
+mod write;
 
 use std::io::{BufReader, ErrorKind, Read};
 use std::path::Path;
@@ -40,6 +42,7 @@ use ruzstd::decoding::StreamingDecoder;
 use tcgs_core::{Gaussians, Layout, MAX_SH_DEGREE};
 
 use self::unpack::{Arrays, Encoding};
+pub use self::write::write_spz_to;
 use crate::axes::Axes;
 use crate::stored::Head;
 use crate::{HigherHarmonics, InterchangeError, ReadSettings, input};
@@ -280,14 +283,19 @@ fn declared_axes(mut records: &[u8]) -> Result<Option<Axes>, String> {
         axes = match system {
             // Unspecified, which the format's library takes for a file without the extension.
             0 => None,
-            // LDB, RDB, LUB, RUB, LDF, RDF, LUF, RUF: each letter is a bit.
-            1..=8 => Some(Axes::new((system - 1) & 1 == 0, (system - 1) & 2 != 0, (system - 1) & 4 == 0)),
+            1..=8 => Axes::all().find(|axes| axes_number(*axes) == system),
             _ => {
                 return Err(format!("is in coordinate system {system}, expected one of 1 to 8, whose y is up or down"));
             }
         };
     }
     Ok(axes)
+}
+
+/// The number of axes in the extension, from 1 on: LDB, RDB, LUB, RUB, LDF, RDF, LUF, RUF. Each letter is a bit.
+fn axes_number(axes: Axes) -> u32 {
+    let [left, up, back] = axes.against_rdf();
+    1 + u32::from(!left) + 2 * u32::from(up) + 4 * u32::from(!back)
 }
 
 fn ends_early() -> String {
