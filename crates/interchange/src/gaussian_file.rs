@@ -7,7 +7,7 @@ use tcgs_core::Gaussians;
 
 use crate::notes::Replaced;
 use crate::stored::{Head, checked};
-use crate::{InterchangeError, ReadSettings, gltf, input, ply, spz};
+use crate::{InterchangeError, ReadSettings, gltf, input, ply, sog, spz};
 
 /// Kinds of files that hold one timestep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -16,6 +16,7 @@ pub(crate) enum FileKind {
     Ply,
     Spz,
     Gltf,
+    Sog,
 }
 
 impl FileKind {
@@ -28,8 +29,9 @@ impl FileKind {
             start if start.starts_with(b"ply") => Ok(Self::Ply),
             start if start.starts_with(b"NGSP") || start.starts_with(&[0x1F, 0x8B]) => Ok(Self::Spz),
             start if gltf::is_gltf(start) => Ok(Self::Gltf),
+            start if start.starts_with(b"PK\x03\x04") => Ok(Self::Sog),
             _ => {
-                let problem = "is none of PLY, SPZ and glTF, expected one of these".into();
+                let problem = "is none of PLY, SPZ, glTF and SOG, expected one of these".into();
                 Err(InterchangeError::File { path: path.into(), problem })
             }
         }
@@ -37,7 +39,7 @@ impl FileKind {
 }
 
 /// Reads the Gaussians of one file in stored form: a PLY file of 3D Gaussian splatting or a compressed one, an SPZ
-/// file, or a glTF file with `KHR_gaussian_splatting`. All come in the axes of PLY files: x right, y down, z forward. A
+/// file, a glTF file with `KHR_gaussian_splatting`, or a SOG file. All come in the axes of PLY files: x right, y down, z forward. A
 /// file's own axes are those of the settings, else those that it declares, else those of its kind
 /// ([`ReadSettings::axes`]).
 ///
@@ -61,6 +63,7 @@ pub(crate) fn read_and_count(path: &Path, settings: ReadSettings) -> Result<(Gau
         FileKind::Ply => ply::read_unchecked(path, settings),
         FileKind::Spz => spz::read_spz(path, settings),
         FileKind::Gltf => gltf::read_gltf(path, settings),
+        FileKind::Sog => sog::read_sog(path, settings),
     };
     checked(path, gaussians?)
 }
@@ -75,6 +78,7 @@ pub(crate) fn read_head(path: &Path, settings: ReadSettings) -> Result<(FileKind
         FileKind::Ply => ply::read_head(path, settings),
         FileKind::Spz => spz::read_head(path, settings),
         FileKind::Gltf => gltf::read_head(path, settings),
+        FileKind::Sog => sog::read_head(path, settings),
     };
     Ok((kind, head?))
 }

@@ -8,10 +8,11 @@
 //! | compressed PLY of `SuperSplat` and splat-transform | [`read_ply`] | [`write_compressed_ply_to`] |
 //! | SPZ, versions 2 to 4 | [`read_gaussians`] | [`write_spz_to`], version 4 |
 //! | glTF with `KHR_gaussian_splatting`, `.glb` and `.gltf` | [`read_gaussians`] | [`write_glb_to`], `.glb` |
+//! | SOG, version 2, `.sog` | [`read_gaussians`] | [`write_sog_to`] |
 //! | `.4dgs`, a whole scene | [`FourdgsFile`] | [`fourdgs_bytes`] |
 //! | PLY of points | [`read_ply_points`] | – |
 //! | npz archives and npy arrays of any content | [`NpzReader`], [`read_npy`] | [`NpzWriter`] |
-//! | SOG, `.splat`, `.ksplat`, other archives | recognised alone: [`UnreadKind`] | – |
+//! | folders of SOG, `.splat`, `.ksplat`, other archives | recognised alone: [`UnreadKind`] | – |
 //!
 //! What lives here: these formats, and atomic writing of files ([`write_whole`], [`Unfinished`]) for every crate that
 //! writes any. What does not: the format `.tcgs` (the codec), images and cameras (the capture).
@@ -29,6 +30,7 @@ mod params_npz;
 mod ply;
 mod ply_points;
 mod settings;
+mod sog;
 mod space_order;
 mod spz;
 mod stored;
@@ -53,6 +55,7 @@ pub use params_npz::{
 pub use ply::{read_ply, write_compressed_ply_to, write_ply_to};
 pub use ply_points::read_ply_points;
 pub use settings::{HigherHarmonics, ReadLimits, ReadSettings};
+pub use sog::{is_sog_file, write_sog_to};
 pub use space_order::space_order;
 pub use spz::write_spz_to;
 pub use timestep_files::TimestepFiles;

@@ -7,16 +7,17 @@ use std::path::Path;
 
 use zip::ZipArchive;
 
+use crate::sog::is_sog;
+
 /// A readable file to use instead of the kinds of this table, for messages.
 const SPLAT_TRANSFORM: &str = "a PLY file, which splat-transform makes of it";
 
 /// Kinds of files, by the endings of their names.
-const ENDINGS: [(&str, &str); 3] = [
-    ("sog", SOG),
-    ("splat", "a .splat file of antimatter15's viewer"),
-    ("ksplat", "a .ksplat file of GaussianSplats3D"),
-];
-const SOG: &str = "SOG of SuperSplat";
+const ENDINGS: [(&str, &str); 2] =
+    [("splat", "a .splat file of antimatter15's viewer"), ("ksplat", "a .ksplat file of GaussianSplats3D")];
+/// A folder with the content of a `.sog` file.
+const SOG: UnreadKind =
+    UnreadKind { name: "an unpacked SOG of SuperSplat", expected: "a .sog file, which splat-transform makes of it" };
 
 /// A file, or a folder, that no reader of this crate takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,9 +39,9 @@ impl UnreadKind {
     /// ```
     /// use tcgs_interchange::UnreadKind;
     /// let folder = tempfile::tempdir()?;
-    /// let path = folder.path().join("garden.sog");
-    /// std::fs::write(&path, "PK")?;
-    /// assert_eq!(UnreadKind::of(&path).map(|kind| kind.name), Some("SOG of SuperSplat"));
+    /// let path = folder.path().join("garden.splat");
+    /// std::fs::write(&path, "")?;
+    /// assert_eq!(UnreadKind::of(&path).map(|kind| kind.name), Some("a .splat file of antimatter15's viewer"));
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     pub fn of(path: &Path) -> Option<Self> {
@@ -48,14 +49,14 @@ impl UnreadKind {
             let entries = fs::read_dir(path).ok()?.filter_map(Result::ok);
             let names: Vec<String> = entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
             return if is_sog(&names) {
-                Some(Self::of_splats(SOG))
+                Some(SOG)
             } else {
                 names.iter().find_map(|name| Self::of_ending(Path::new(name)))
             };
         }
         Self::of_ending(path).or_else(|| Self::of_archive(path)).or_else(|| {
             let is_table = path.file_name().is_some_and(|name| name == "meta.json");
-            path.parent().filter(|_| is_table).and_then(Self::of).filter(|kind| kind.name == SOG)
+            path.parent().filter(|_| is_table).and_then(Self::of).filter(|kind| *kind == SOG)
         })
     }
 
@@ -69,10 +70,8 @@ impl UnreadKind {
         let archive = ZipArchive::new(BufReader::new(File::open(path).ok()?)).ok()?;
         let names: Vec<String> = archive.file_names().flatten().map(Cow::into_owned).collect();
         let ends = |ending: &str| names.iter().any(|name| name.ends_with(ending));
-        if ends(".npy") {
+        if ends(".npy") || is_sog(&names) {
             None
-        } else if is_sog(&names) {
-            Some(Self::of_splats(SOG))
         } else if ends("data.pkl") {
             Some(Self {
                 name: "a checkpoint of PyTorch",
@@ -82,12 +81,6 @@ impl UnreadKind {
             Some(Self { name: "a ZIP archive without arrays of NumPy", expected: "a params.npz" })
         }
     }
-}
-
-/// A table and images, whose names vary between versions.
-fn is_sog(names: &[String]) -> bool {
-    let is_in_any_folder = |name: &String| name == "meta.json" || name.ends_with("/meta.json");
-    names.iter().any(is_in_any_folder) && names.iter().any(|name| name.ends_with(".webp"))
 }
 
 #[cfg(test)]
@@ -114,8 +107,8 @@ mod tests {
         let path = |name: &str| folder.path().join(name);
         let name = |path: &Path| UnreadKind::of(path).map(|kind| kind.name);
         for (file, names, expected) in [
-            ("a.zip", &["meta.json", "means_l.webp"][..], Some(SOG)),
-            ("b.npz", &["scene/meta.json", "scene/quats.webp"], Some(SOG)),
+            ("a.zip", &["meta.json", "means_l.webp"][..], None),
+            ("b.npz", &["scene/meta.json", "scene/quats.webp"], None),
             ("c.pth", &["archive/data.pkl", "archive/data/0"], Some("a checkpoint of PyTorch")),
             ("d.zip", &["readme.txt"], Some("a ZIP archive without arrays of NumPy")),
             ("e.npz", &["means3D.npy", "meta.json"], None),
@@ -126,7 +119,7 @@ mod tests {
         for (file, expected) in [
             ("a.SPLAT", Some("a .splat file of antimatter15's viewer")),
             ("b.ksplat", Some("a .ksplat file of GaussianSplats3D")),
-            ("c.sog", Some(SOG)),
+            ("c.sog", None),
             ("d.ply", None),
         ] {
             fs::write(path(file), "PK\x03\x04").unwrap();
@@ -142,7 +135,7 @@ mod tests {
         assert_eq!((UnreadKind::of(folder.path()), UnreadKind::of(&table)), (None, None));
         fs::write(folder.path().join("means_u.webp"), "").unwrap();
         for path in [folder.path(), &table] {
-            assert_eq!(UnreadKind::of(path).map(|kind| kind.name), Some(SOG));
+            assert_eq!(UnreadKind::of(path), Some(SOG));
         }
         let splats = tempfile::tempdir().unwrap();
         fs::write(splats.path().join("000.splat"), "").unwrap();

@@ -1,7 +1,7 @@
 //! A folder with one file a timestep, of any kind that is read.
 //!
 //! Files may differ in their kind and in their number of Gaussians. All have the same degree of spherical harmonics.
-//! All are drawn with antialiasing, or none is; SPZ and PLY files can say so. A scene whose Gaussians are followed
+//! All are drawn with antialiasing, or none is; SPZ, PLY and SOG files can say so. A scene whose Gaussians are followed
 //! through time ([`TimestepFiles::read`]) needs more, which the files do not state: the same Gaussians in the same
 //! order. The reader checks what it can: every file has the same number of Gaussians, and Gaussian `i` of one file is
 //! near Gaussian `i` of the next ([`MAX_JUMP`]).
@@ -18,7 +18,7 @@ use crate::notes::ReplacedByTimestep;
 use crate::{Axes, InterchangeError, ReadNote, ReadSettings, spz};
 
 /// Endings of the files that are timesteps. The content of such a file decides its format.
-const ENDINGS: [&str; 4] = ["ply", "spz", "glb", "gltf"];
+const ENDINGS: [&str; 5] = ["ply", "spz", "glb", "gltf", "sog"];
 
 /// Largest motion of the median Gaussian from one file to the next, as a share of the median Gaussian's distance from
 /// the scene's middle. Common motion of all Gaussians does not count.
@@ -27,7 +27,7 @@ const ENDINGS: [&str; 4] = ["ply", "spz", "glb", "gltf"];
 /// no codec profits from tracks with such jumps.
 const MAX_JUMP: f32 = 0.5;
 
-/// A sequence of files that is read a timestep at a time: PLY, also compressed, SPZ, or glTF. The number of Gaussians
+/// A sequence of files that is read a timestep at a time: PLY, also compressed, SPZ, glTF, or SOG. The number of Gaussians
 /// may differ between files.
 ///
 /// ```
@@ -64,7 +64,7 @@ pub struct TimestepFiles {
 
 impl TimestepFiles {
     /// Lists the files of a folder in natural order (numbers within names are compared as numbers) whose names end in
-    /// `.ply`, `.spz`, `.glb` or `.gltf`, and reads their headers. Hidden files are left out.
+    /// `.ply`, `.spz`, `.glb`, `.gltf` or `.sog`, and reads their headers. Hidden files are left out.
     ///
     /// - `path`: the folder, or a single file of any name, which becomes a sequence of one timestep
     ///
@@ -83,7 +83,7 @@ impl TimestepFiles {
             kinds.push(kind);
             let of_file = match (settings.axes, kind) {
                 (Some(axes), _) => axes,
-                (None, FileKind::Ply) => Axes::RDF,
+                (None, FileKind::Ply | FileKind::Sog) => Axes::RDF,
                 (None, FileKind::Gltf) => Axes::LUF,
                 (None, FileKind::Spz) if has_assumed_axes => spz::ASSUMED_AXES,
                 (None, FileKind::Spz) => {
@@ -139,7 +139,7 @@ impl TimestepFiles {
             }
         }
         if files.is_empty() {
-            let problem = "holds no PLY, SPZ or glTF file, expected one a timestep".into();
+            let problem = "holds no PLY, SPZ, glTF or SOG file, expected one a timestep".into();
             return Err(InterchangeError::File { path: folder.into(), problem });
         }
         files.sort_by_cached_key(|path| natural_key(&name(path)));
@@ -151,13 +151,14 @@ impl TimestepFiles {
         &self.files
     }
 
-    /// The kind of the files in two words: `PLY files`, `SPZ files`, `glTF files`, or `Gaussian files` of several
-    /// kinds.
+    /// The kind of the files in two words: `PLY files`, `SPZ files`, `glTF files`, `SOG files`, or `Gaussian files`
+    /// of several kinds.
     pub fn kind(&self) -> &'static str {
         match self.kind {
             Some(FileKind::Ply) => "PLY files",
             Some(FileKind::Spz) => "SPZ files",
             Some(FileKind::Gltf) => "glTF files",
+            Some(FileKind::Sog) => "SOG files",
             None => "Gaussian files",
         }
     }
@@ -272,6 +273,7 @@ fn name(path: &Path) -> String {
 fn first_frame(files: &[PathBuf]) -> Option<u32> {
     let number = |path: &PathBuf| -> Option<u32> {
         let stem = path.file_stem()?.to_str()?;
+        let stem = stem.strip_suffix(".compressed").unwrap_or(stem);
         stem.parse().ok().filter(|_| stem.bytes().all(|byte| byte.is_ascii_digit()))
     };
     let first = number(files.first()?)?;

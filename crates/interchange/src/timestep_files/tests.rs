@@ -64,6 +64,7 @@ fn numbers_that_count_up_are_frames() {
     let frames = |names: &[&str]| first_frame(&names.iter().map(PathBuf::from).collect::<Vec<_>>());
     assert_eq!(frames(&["a/000007.ply", "a/000008.ply", "a/9.ply"]), Some(7));
     assert_eq!(frames(&["0.ply"]), Some(0));
+    assert_eq!(frames(&["000001.compressed.ply", "000002.compressed.ply", "3.sog"]), Some(1));
     for names in [&["1.ply", "3.ply"][..], &["f1.ply", "f2.ply"], &["+1.ply"], &["1.5.ply"], &["4294967295.ply"; 2]] {
         assert_eq!(frames(names), None, "{names:?}");
     }
@@ -72,7 +73,7 @@ fn numbers_that_count_up_are_frames() {
 #[test]
 fn the_first_file_that_does_not_fit_is_named() {
     let folder = tempfile::tempdir().unwrap();
-    assert_eq!(read(&folder).unwrap_err().1, "holds no PLY, SPZ or glTF file, expected one a timestep");
+    assert_eq!(read(&folder).unwrap_err().1, "holds no PLY, SPZ, glTF or SOG file, expected one a timestep");
     for timestep in 0..4 {
         write(&folder, &format!("{timestep}.ply"), &at(timestep));
     }
@@ -241,5 +242,5 @@ fn each_file_is_what_its_content_says() {
     );
     fs::write(folder.path().join("002.glb"), "nothing").unwrap();
     let (file, problem) = read(&folder).unwrap_err();
-    assert_eq!((&*file, &*problem), ("002.glb", "is none of PLY, SPZ and glTF, expected one of these"));
+    assert_eq!((&*file, &*problem), ("002.glb", "is none of PLY, SPZ, glTF and SOG, expected one of these"));
 }

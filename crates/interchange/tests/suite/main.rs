@@ -10,10 +10,11 @@ mod other_programs;
 use std::path::{Path, PathBuf};
 
 /// Files of one timestep, of every kind.
-const ONE_TIMESTEP: [&str; 6] = [
+const ONE_TIMESTEP: [&str; 7] = [
     "original.ply",
     "splat_transform.compressed.ply",
     "splat_transform.glb",
+    "splat_transform_37.sog",
     "splat_transform_v3.spz",
     "splat_transform_v4.spz",
     "spz_v2.spz",
