@@ -6,8 +6,8 @@ use std::path::PathBuf;
 use libfuzzer_sys::fuzz_target;
 use tcgs_core::SceneReader;
 use tcgs_interchange::{
-    FourdgsFile, NpzReader, ReadLimits, ReadSettings, read_gaussians, read_npy, read_ply_points, write_glb_to,
-    write_ply_to,
+    Axes, FourdgsFile, NpzReader, ReadLimits, ReadSettings, read_gaussians, read_npy, read_ply_points,
+    write_compressed_ply_to, write_glb_to, write_ply_to, write_sog_to, write_spz_to,
 };
 
 /// Readers take paths. One file a process.
@@ -20,10 +20,15 @@ fuzz_target!(|bytes: &[u8]| {
     std::fs::write(&given, bytes).expect("a temporary file");
     if let Ok(gaussians) = read_gaussians(&given, ReadSettings::default()) {
         assert!(gaussians.num_gaussians() > 0 && gaussians.means().as_flattened().iter().all(|x| x.is_finite()));
-        let (mut ply, mut glb) = (Vec::new(), Vec::new());
+        let (mut ply, mut glb, mut compressed, mut sog) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         write_ply_to(&mut ply, &gaussians).expect("memory");
         write_glb_to(&mut glb, &gaussians).expect("memory");
-        for written in [ply, glb] {
+        write_compressed_ply_to(&mut compressed, &gaussians).expect("memory");
+        write_sog_to(&mut sog, &gaussians).expect("memory");
+        let mut spz = Vec::new();
+        // Some coordinates are too large for SPZ.
+        let spz = write_spz_to(&mut spz, &gaussians, Axes::RUB).ok().map(|()| spz);
+        for written in [ply, glb, compressed, sog].into_iter().chain(spz) {
             let again = path("again");
             std::fs::write(&again, written).expect("a temporary file");
             let again = read_gaussians(&again, ReadSettings::default()).expect("a file just written");

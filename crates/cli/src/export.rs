@@ -22,7 +22,9 @@ use crate::terminal::{note, say};
 /// births or deaths with --frames, or write another kind of file: all others hold the whole scene.
 ///
 /// A PLY file has the format of 3D Gaussian splatting, which most viewers read. A .glb file is glTF with
-/// KHR_gaussian_splatting. Both hold one timestep; in a folder of many a file's name is its frame. A .4dgs file holds
+/// KHR_gaussian_splatting. Files of the endings .compressed.ply, .spz and .sog are smaller and round all numbers; a .sog
+/// file rounds colours and harmonics most. All of these hold one timestep; in a folder of many a file's name is its
+/// frame. An .spz file declares the axes of PLY files; version 4 of the format is written. A .4dgs file holds
 /// all timesteps, quantised as finely as its format offers. A .f32 file holds plain floats, bit for bit: for each frame
 /// all means, quats, log_scales, logit_opacities and colors, then further columns, little-endian. A run is exported in
 /// floats, without the Gaussians that its masks prune: these files cannot hold masks.
@@ -32,15 +34,16 @@ Example:
   tcgs export my_run --to plys
   tcgs export my_d3dgs_run --to params.npz
   tcgs export scene.tcgs --to glbs --files glb
+  tcgs export scene.tcgs --to for_supersplat --files sog
   tcgs export scene.tcgs --to scene.4dgs
   tcgs export scene.tcgs --frames 7..8 --to frame_7.ply")]
 pub struct Arguments {
-    /// .tcgs file, run folder, params.npz, .4dgs file, or PLY, SPZ or glTF files
+    /// .tcgs file, run folder, params.npz, .4dgs file, or PLY, SPZ, glTF or SOG files
     scene: PathBuf,
     #[command(flatten)]
     reading: SceneOptions,
-    /// File or folder to write. The ending selects the format: .npz, .4dgs or .f32 for all timesteps, .ply or .glb for
-    /// one, none for a folder of these
+    /// File or folder to write. The ending selects the format: .npz, .4dgs or .f32 for all timesteps, .ply,
+    /// .compressed.ply, .spz, .glb or .sog for one, none for a folder of these
     #[arg(long, value_name = "FILE|DIR")]
     to: PathBuf,
     /// Which files a folder gets
@@ -58,8 +61,26 @@ pub struct Arguments {
 enum Files {
     /// PLY of 3D Gaussian splatting
     Ply,
+    /// Compressed PLY of SuperSplat
+    CompressedPly,
+    /// SPZ, version 4
+    Spz,
     /// glTF with KHR_gaussian_splatting
     Glb,
+    /// SOG, version 2
+    Sog,
+}
+
+impl From<Files> for TimestepKind {
+    fn from(files: Files) -> Self {
+        match files {
+            Files::Ply => Self::Ply,
+            Files::CompressedPly => Self::CompressedPly,
+            Files::Spz => Self::Spz,
+            Files::Glb => Self::Glb,
+            Files::Sog => Self::Sog,
+        }
+    }
 }
 
 /// Format of the output.
@@ -152,25 +173,23 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 fn target(arguments: &Arguments) -> anyhow::Result<Target> {
     let (to, job, scene) = (&arguments.to, &arguments.job, arguments.scene.as_path());
     let file = |target| job.begin(&[to], &[scene]).map(|()| target);
+    if let Some(kind) = TimestepKind::of(to).filter(|_| !to.is_dir()) {
+        return file(Target::Timestep(kind));
+    }
     match to.extension().map(|extension| extension.to_string_lossy().to_lowercase()).as_deref() {
         Some("npz") => file(Target::ParamsNpz),
-        Some("ply") => file(Target::Timestep(TimestepKind::Ply)),
-        Some("glb") => file(Target::Timestep(TimestepKind::Glb)),
         Some("4dgs") => file(Target::Fourdgs),
         Some("f32") => file(Target::Floats),
         other if other.is_none() || to.is_dir() => {
             job.begin(&[], &[scene])?;
             check_folder(to, &[scene])?;
-            let kind = match arguments.files {
-                Files::Ply => TimestepKind::Ply,
-                Files::Glb => TimestepKind::Glb,
-            };
-            let is_ours = |path: &Path| [".ply", ".glb"].iter().any(|ending| is_numbered(path, ending));
-            Ok(Target::Folder(kind, NewFolder::begin(to, job.force, is_ours)?))
+            let is_ours = |path: &Path| TimestepKind::ALL.iter().any(|kind| is_numbered(path, kind.ending()));
+            Ok(Target::Folder(arguments.files.into(), NewFolder::begin(to, job.force, is_ours)?))
         }
         _ => {
             let problem = "not a kind of file that this version writes";
-            let expected = "NAME.npz, NAME.ply, NAME.glb, NAME.4dgs, NAME.f32, or a folder's name without an ending";
+            let expected = "NAME.npz, NAME.ply, NAME.compressed.ply, NAME.spz, NAME.glb, NAME.sog, NAME.4dgs, NAME.f32, \
+                            or a folder's name without an ending";
             Err(wrong_input(format!("{}: {problem}, expected {expected}", to.display())))
         }
     }

@@ -31,7 +31,7 @@ or none is declared; 2 wrong usage, a damaged file, or another scene than SOURCE
 pub struct Arguments {
     /// .tcgs file
     file: PathBuf,
-    /// The compressed scene: run folder, params.npz, .4dgs file, PLY, SPZ or glTF files, or .tcgs file; several run
+    /// The compressed scene: run folder, params.npz, .4dgs file, PLY, SPZ, glTF or SOG files, or .tcgs file; several run
     /// folders if chapters were joined
     sources: Vec<PathBuf>,
     #[command(flatten)]

@@ -7,7 +7,10 @@ use std::path::Path;
 use std::sync::Arc;
 
 use tcgs_core::{Attribute, Column, Gaussians, Layout, SceneReader};
-use tcgs_interchange::{ParamsExtras, ParamsOrigin, fourdgs_bytes, write_glb_to, write_params_npz_from, write_ply_to};
+use tcgs_interchange::{
+    Axes, ParamsExtras, ParamsOrigin, fourdgs_bytes, space_order, write_compressed_ply_to, write_glb_to,
+    write_params_npz_from, write_ply_to, write_sog_to, write_spz_to,
+};
 use tcgs_train::StandIns;
 
 use crate::observe::tell;
@@ -22,35 +25,80 @@ pub enum TimestepKind {
     /// PLY of 3D Gaussian splatting.
     #[default]
     Ply,
+    /// Compressed PLY of `SuperSplat`.
+    CompressedPly,
+    /// SPZ, version 4.
+    Spz,
     /// glTF with `KHR_gaussian_splatting`, in one file.
     Glb,
+    /// SOG, version 2, in one file.
+    Sog,
 }
 
 impl TimestepKind {
+    /// Every kind. An ending that ends in another's comes first.
+    pub const ALL: [Self; 5] = [Self::CompressedPly, Self::Ply, Self::Spz, Self::Glb, Self::Sog];
+
     /// The ending of such a file's name, with its dot.
     pub fn ending(self) -> &'static str {
         match self {
             Self::Ply => ".ply",
+            Self::CompressedPly => ".compressed.ply",
+            Self::Spz => ".spz",
             Self::Glb => ".glb",
+            Self::Sog => ".sog",
         }
+    }
+
+    /// The kind that the ending of a file's name selects, in letters of either case.
+    ///
+    /// ```
+    /// use tcgs_pipeline::TimestepKind;
+    /// assert_eq!(TimestepKind::of("a/garden.compressed.ply".as_ref()), Some(TimestepKind::CompressedPly));
+    /// assert_eq!(TimestepKind::of("compressed.PLY".as_ref()), Some(TimestepKind::Ply));
+    /// assert_eq!(TimestepKind::of("ply".as_ref()), None);
+    /// ```
+    pub fn of(path: &Path) -> Option<Self> {
+        let name = path.file_name()?.to_string_lossy().to_lowercase();
+        Self::ALL.into_iter().find(|kind| name.ends_with(kind.ending()))
     }
 
     /// The name of such a file in messages.
     fn name(self) -> &'static str {
         match self {
             Self::Ply => "a PLY file",
+            Self::CompressedPly => "a compressed PLY file",
+            Self::Spz => "an SPZ file",
             Self::Glb => "a glTF file",
+            Self::Sog => "a SOG file",
         }
+    }
+
+    /// Whether such a file is smaller, or more precise, if neighbours in space are neighbours in it.
+    fn is_ordered_by_space(self) -> bool {
+        matches!(self, Self::CompressedPly | Self::Sog)
     }
 
     fn write(self, file: &File, gaussians: &Gaussians) -> io::Result<()> {
         let mut writer = BufWriter::new(file);
         match self {
             Self::Ply => write_ply_to(&mut writer, gaussians)?,
+            Self::CompressedPly => write_compressed_ply_to(&mut writer, gaussians)?,
+            // Axes that programs assume which ignore the declared ones.
+            Self::Spz => write_spz_to(&mut writer, gaussians, Axes::RDF)?,
             Self::Glb => write_glb_to(&mut writer, gaussians)?,
+            Self::Sog => write_sog_to(&mut writer, gaussians)?,
         }
         writer.flush()
     }
+}
+
+/// The order of the Gaussians in the files of a sequence. The same Gaussians keep it, so that a reader can follow them.
+#[derive(Default)]
+struct FileOrder {
+    /// Of which Gaussians the order is; none if the scene does not say.
+    identities: Option<Vec<usize>>,
+    order: Vec<usize>,
 }
 
 /// Writes a scene for other programs, in floats. A run is written without the Gaussians that its masks leave out over
@@ -154,6 +202,27 @@ impl<'a> Export<'a> {
         Ok(gaussians)
     }
 
+    /// [`Self::some_gaussians`], in the order of a kind of file.
+    ///
+    /// - `last`: the order of the frame before, which stays as long as the Gaussians are the same
+    fn ordered_gaussians(
+        &self,
+        kind: TimestepKind,
+        frame: usize,
+        last: &mut FileOrder,
+    ) -> Result<Gaussians, PipelineError> {
+        let gaussians = self.some_gaussians(frame)?;
+        if !kind.is_ordered_by_space() {
+            return Ok(gaussians);
+        }
+        let identities = self.identities(frame)?;
+        let are_same = last.order.len() == gaussians.num_gaussians() && last.identities == identities;
+        if !are_same {
+            *last = FileOrder { identities, order: space_order(gaussians.means()) };
+        }
+        Ok(gaussians.select(&last.order))
+    }
+
     /// The refusal of a column that a kind of file cannot hold.
     fn refuse_column(&self, column: &Column, kind: &str, expected: &str) -> PipelineError {
         let found = format!("has the column {}, which {kind} cannot hold", column.name);
@@ -238,7 +307,8 @@ impl<'a> Export<'a> {
         Ok(ExportedParams { export: self, frames, num_gaussians: first.num_gaussians(), foreground, stand_ins })
     }
 
-    /// Writes one frame as a file of its own.
+    /// Writes one frame as a file of its own. The Gaussians of a compressed PLY or SOG file are in another order than
+    /// those of the scene ([`space_order`]).
     ///
     /// # Errors
     /// [`PipelineError::Input`] if there are no Gaussians, or the scene has a column that such files do not hold;
@@ -249,7 +319,7 @@ impl<'a> Export<'a> {
         frame: usize,
     ) -> Result<impl Fn(&File) -> io::Result<()> + use<>, PipelineError> {
         self.check_columns(kind.name())?;
-        let gaussians = self.some_gaussians(frame)?;
+        let gaussians = self.ordered_gaussians(kind, frame, &mut FileOrder::default())?;
         Ok(move |file: &File| kind.write(file, &gaussians))
     }
 
@@ -286,7 +356,8 @@ impl<'a> Export<'a> {
         Ok(self.scene.choose_frames(Some(&frames))?.map(move |frame| self.gaussians(frame).map(bytes)))
     }
 
-    /// Writes one file per frame, named by its number: `000012.ply`.
+    /// Writes one file per frame, named by its number: `000012.ply`. The Gaussians of compressed PLY and SOG files are in
+    /// another order than those of the scene, which is that of the frame before as long as the Gaussians are the same.
     ///
     /// - `folder`: exists; its contents stay
     /// - returns: bytes written
@@ -304,10 +375,10 @@ impl<'a> Export<'a> {
         self.check_columns(kind.name())?;
         let frames = self.scene.choose_frames(Some(&frames))?;
         tell(observer, Event::Begun { work: Work::Exporting, num_steps: frames.len() })?;
-        let mut bytes = 0;
+        let (mut bytes, mut order) = (0, FileOrder::default());
         for frame in frames {
             let path = folder.join(format!("{frame:06}{}", kind.ending()));
-            let gaussians = self.some_gaussians(frame)?;
+            let gaussians = self.ordered_gaussians(kind, frame, &mut order)?;
             let written = File::create(&path).and_then(|file| {
                 kind.write(&file, &gaussians)?;
                 Ok(file.metadata()?.len())

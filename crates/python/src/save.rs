@@ -46,13 +46,15 @@ pub fn save(scene: &OpenScene, path: &Path, overwrite: bool, watch: &mut Watch) 
             let bytes = Export::new(scene)?.fourdgs(frames)?;
             return write(path, overwrite, |mut to| to.write_all(&bytes));
         }
-        Some("ply") => TimestepKind::Ply,
-        Some("glb") => TimestepKind::Glb,
         None => return save_folder(scene, path, watch),
-        Some(_) => {
-            let expected = ".tcgs, .npz, .4dgs, .ply or .glb, or a new folder for PLY files";
-            return Err(wrong(path, "has an unknown ending", expected));
-        }
+        Some(_) => match TimestepKind::of(path) {
+            Some(kind) => kind,
+            None => {
+                let expected =
+                    ".tcgs, .npz, .4dgs, .ply, .compressed.ply, .spz, .glb or .sog, or a new folder for PLY files";
+                return Err(wrong(path, "has an unknown ending", expected));
+            }
+        },
     };
     if frames.len() > 1 {
         let found = format!("is a file of one timestep, and the scene has {}", frames.len());

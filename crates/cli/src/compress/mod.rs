@@ -50,7 +50,7 @@ Example:
   tcgs compress my_plys --max-error mean=0.001,rotation=0.01,color=0.02
   tcgs compress chapter0 chapter1 chapter2 --out scene.tcgs")]
 pub struct Arguments {
-    /// Run folder, params.npz of Dynamic 3D Gaussians, .4dgs file, or folder of PLY, SPZ or glTF files; several
+    /// Run folder, params.npz of Dynamic 3D Gaussians, .4dgs file, or folder of PLY, SPZ, glTF or SOG files; several
     /// run folders that are chapters of one capture (train --start-from) are joined
     #[arg(required = true)]
     sources: Vec<PathBuf>,
@@ -446,7 +446,7 @@ fn check_source(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<()> 
     let source = scene.path.display();
     if scene.is_compressed() {
         let problem =
-            "is compressed already, expected a run folder, a params.npz, a .4dgs file, or PLY, SPZ or glTF files";
+            "is compressed already, expected a run folder, a params.npz, a .4dgs file, or PLY, SPZ, glTF or SOG files";
         return Err(wrong_input(format!("{source}: {problem}")));
     }
     match scene.run() {

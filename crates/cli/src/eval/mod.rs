@@ -28,7 +28,7 @@ const WEIGHTS_VARIABLE: &str = "TCGS_LPIPS_WEIGHTS";
 Example:
   tcgs eval my_run/scene.tcgs --capture my_capture --json quality.json --csv images.csv")]
 pub struct Arguments {
-    /// .tcgs file, run folder, params.npz, .4dgs file, or PLY, SPZ or glTF files
+    /// .tcgs file, run folder, params.npz, .4dgs file, or PLY, SPZ, glTF or SOG files
     scene: PathBuf,
     #[command(flatten)]
     reading: SceneOptions,

@@ -29,7 +29,7 @@ use crate::terminal::{note, say, write};
 /// Every checksum of a .tcgs file is verified. The exit code is 2 if the file is damaged, or if it was cut and
 /// --recover is not given. If a file has more than 64 MB, only its tables are read: tcgs verify reads all of it.
 ///
-/// Other scenes are run folders, params.npz, .4dgs files, and PLY, SPZ or glTF files. Their basics are the kind, the
+/// Other scenes are run folders, params.npz, .4dgs files, and PLY, SPZ, glTF or SOG files. Their basics are the kind, the
 /// numbers of Gaussians and timesteps, the frame rate, the degree of spherical harmonics, antialiasing, the axes,
 /// bounds and sizes. Bounds are those of the means at the first timestep.
 #[derive(clap::Args)]
@@ -39,7 +39,7 @@ Example:
   tcgs info my_plys
   tcgs info scene.tcgs --data tcgs.credits > credits.json")]
 pub struct Arguments {
-    /// .tcgs file; or run folder, params.npz, .4dgs file, or PLY, SPZ or glTF files
+    /// .tcgs file; or run folder, params.npz, .4dgs file, or PLY, SPZ, glTF or SOG files
     #[arg(value_name = "SCENE")]
     file: PathBuf,
     /// Write data that an application put into a .tcgs file, such as tcgs.credits, to the standard output, and nothing

@@ -38,7 +38,7 @@ Example:
   tcgs render scene.tcgs --out clip.mp4 --path camera-path.json
   tcgs render my_run --out frames --cameras my_capture --frames 0..10")]
 pub struct Arguments {
-    /// .tcgs file, run folder, params.npz, .4dgs file, or PLY, SPZ or glTF files
+    /// .tcgs file, run folder, params.npz, .4dgs file, or PLY, SPZ, glTF or SOG files
     scene: PathBuf,
     #[command(flatten)]
     reading: SceneOptions,

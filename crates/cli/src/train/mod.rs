@@ -64,7 +64,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     points: Option<PathBuf>,
     /// Continue the state of SCENE at timestep T (default: its last): a run folder, .tcgs, params.npz or a folder of
-    /// PLY, SPZ or glTF. The first timestep is trained as a later one, from there. From a run, masks, quantizers and,
+    /// PLY, SPZ, glTF or SOG. The first timestep is trained as a later one, from there. From a run, masks, quantizers and,
     /// at its last two timesteps, the optimizer's state carry over
     #[arg(long, value_name = "SCENE@T", conflicts_with = "points")]
     start_from: Option<String>,

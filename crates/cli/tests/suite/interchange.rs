@@ -54,12 +54,44 @@ fn a_folder_of_several_kinds_becomes_a_file_and_glb_files() {
 }
 
 #[test]
+fn a_scene_becomes_files_of_every_kind_and_is_read_again() {
+    let folder = tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    fs::create_dir(path("source")).unwrap();
+    for i in 0..3 {
+        let name = ["original.ply", "splat_transform_37_v4.spz", "gsply_v3.spz"][i];
+        fs::copy(file(name), path("source").join(format!("{i}.ply"))).unwrap();
+    }
+    for (files, ending, kind) in [
+        ("ply", ".ply", "PLY files"),
+        ("compressed-ply", ".compressed.ply", "PLY files"),
+        ("spz", ".spz", "SPZ files"),
+        ("glb", ".glb", "glTF files"),
+        ("sog", ".sog", "SOG files"),
+    ] {
+        let (out, one, source) = (path(files), path(&format!("one{ending}")), path("source"));
+        succeed(&["export", text(&source), "--to", text(&out), "--files", files]);
+        let read = TimestepFiles::open(&out, ReadSettings::default()).unwrap();
+        assert_eq!((read.kind(), read.num_timesteps(), read.first_frame()), (kind, 3, Some(0)), "{files}");
+        // The same Gaussians in the same order, which the reader checks by their positions.
+        let scene = read.read(0..3).unwrap();
+        assert_eq!((scene.num_gaussians(), scene.layout().sh_degree()), (260, 3));
+        succeed(&["export", text(&source), "--to", text(&one), "--frames", "0..1"]);
+        assert_eq!(fs::read(&one).unwrap(), fs::read(out.join(format!("000000{ending}"))).unwrap());
+        succeed(&["export", text(&source), "--to", text(&out), "--files", files, "--force"]);
+    }
+    let message = fail(2, &["export", text(&path("source")), "--to", text(&path("a.splat"))]);
+    assert!(message.contains("NAME.compressed.ply, NAME.spz, NAME.glb, NAME.sog"), "{message}");
+}
+
+#[test]
 fn one_file_is_a_scene_of_one_timestep() {
     let folder = tempdir().unwrap();
     for (name, kind) in [
         ("splat_transform.glb", "glTF files"),
         ("splat_transform_v4.spz", "SPZ files"),
         ("splat_transform.compressed.ply", "PLY files"),
+        ("splat_transform_37.sog", "SOG files"),
     ] {
         let out = folder.path().join(name).with_extension("tcgs");
         let said = succeed(&["compress", text(&file(name)), "--bits", "6,6", "--out", text(&out)]);
@@ -166,7 +198,7 @@ fn what_cannot_be_read_is_one_line() {
     let other = folder.path().join("other.glb");
     fs::write(&other, "not glTF").unwrap();
     let message = fail(2, &["export", text(&other), "--to", text(&out.with_extension("ply"))]);
-    assert!(message.contains("other.glb: is none of PLY, SPZ and glTF, expected one of these"), "{message}");
+    assert!(message.contains("other.glb: is none of PLY, SPZ, glTF and SOG, expected one of these"), "{message}");
     let message = fail(2, &["compress", text(&file("spz_degree_4.spz")), "--out", text(&out)]);
     assert!(message.contains("has spherical harmonics of degree 4, expected 0 to 3"), "{message}");
     assert!(!out.exists());

@@ -141,7 +141,7 @@ fn scenes_and_captures_that_do_not_fit_are_named() {
     refuse(&["eval", "nowhere.tcgs", "--capture", capture], &["nowhere.tcgs", "expected a .tcgs file"]);
     refuse(
         &["eval", capture, "--capture", capture],
-        &["without config.toml and without PLY, SPZ or glTF files", "expected a .tcgs file"],
+        &["without config.toml and without PLY, SPZ, glTF or SOG files", "expected a .tcgs file"],
     );
     fs::write(path("a.txt"), "hello").unwrap();
     refuse(&["render", text(&path("a.txt")), "--out", text(&path("f"))], &["a.txt", "another kind"]);

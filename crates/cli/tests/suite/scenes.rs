@@ -116,7 +116,7 @@ fn info_says_what_is_no_scene() {
     let message = fail(2, &["info", text(capture())]);
     assert!(message.contains("a panoptic capture, expected a scene; tcgs train"), "{message}");
     let message = fail(2, &["info", text(folder.path())]);
-    assert!(message.contains("a folder without config.toml and without PLY, SPZ or glTF files"), "{message}");
+    assert!(message.contains("a folder without config.toml and without PLY, SPZ, glTF or SOG files"), "{message}");
     let output = run(&["info", text(&given("original.ply")), "--data", "tcgs.credits"]);
     let message = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(2));
@@ -130,6 +130,7 @@ fn kinds_that_are_not_read_are_named() {
     for (name, contents) in [
         ("garden.sog", &["meta.json", "means_l.webp"][..]),
         ("garden.zip", &["meta.json", "means_l.webp"]),
+        ("empty.sog", &["notes.txt"]),
         ("model.pth", &["archive/data.pkl"]),
         ("notes.npz", &["notes.txt"]),
     ] {
@@ -140,17 +141,19 @@ fn kinds_that_are_not_read_are_named() {
         }
         writer.finish().unwrap();
     }
-    for name in ["old.splat", "new.ksplat", "cut.sog"] {
+    for name in ["old.splat", "new.ksplat"] {
         fs::write(path(name), [0x1F, 0x8B, 0, 0]).unwrap();
     }
     fs::create_dir(path("unpacked")).unwrap();
     fs::write(path("unpacked/meta.json"), "{}").unwrap();
     fs::write(path("unpacked/means_l.webp"), "RIFF").unwrap();
-    let sog = "SOG of SuperSplat, which is not read yet, expected a PLY file, which splat-transform makes of it";
+    let sog =
+        "an unpacked SOG of SuperSplat, which is not read yet, expected a .sog file, which splat-transform makes of it";
+    let table = "meta.json: expected value at line 1 column 1, expected the table of a SOG file";
     for (name, expected) in [
-        ("garden.sog", sog),
-        ("garden.zip", sog),
-        ("cut.sog", sog),
+        ("garden.sog", table),
+        ("garden.zip", table),
+        ("empty.sog", "has no meta.json, expected a SOG file"),
         ("unpacked", sog),
         ("unpacked/meta.json", sog),
         ("old.splat", "a .splat file of antimatter15's viewer, which is not read yet, expected a PLY file"),

@@ -7,7 +7,7 @@ use std::sync::LazyLock;
 
 use tcgs_codec::{CompactFile, DecodeLimits};
 use tcgs_core::open_file;
-use tcgs_interchange::{ReadSettings, UnreadKind};
+use tcgs_interchange::{ReadSettings, UnreadKind, is_sog_file};
 
 use super::kinds;
 use crate::{OpenScene, PipelineError};
@@ -114,7 +114,7 @@ fn kind_of_folder(path: &Path) -> Result<SceneKind, PipelineError> {
         return Ok(kind);
     }
     refuse_unread(path)?;
-    let found = "a folder without config.toml and without PLY, SPZ or glTF files";
+    let found = "a folder without config.toml and without PLY, SPZ, glTF or SOG files";
     Err(PipelineError::input(path.display(), found, expected()))
 }
 
@@ -124,7 +124,11 @@ fn kind_of_file(path: &Path) -> Result<SceneKind, PipelineError> {
     let read = open_file(path).and_then(|file| file.take(4).read_to_end(&mut start));
     read.map_err(|error| PipelineError::unreadable(path, error, expected()))?;
     let by_ending = KINDS.into_iter().find(|kind| kind.endings.contains(&ending(path)));
-    let by_start = || KINDS.into_iter().find(|kind| kind.starts.iter().any(|known| start.starts_with(known)));
+    let by_start = || match &start[..] {
+        // A ZIP archive, as a params.npz is.
+        b"PK\x03\x04" if is_sog_file(path) => Some(kinds::timestep_files::KIND),
+        _ => KINDS.into_iter().find(|kind| kind.starts.iter().any(|known| start.starts_with(known))),
+    };
     if let Some(kind) = by_ending.or_else(by_start) {
         return Ok(kind);
     }

@@ -282,8 +282,15 @@ fn a_run_with_a_column_that_no_format_holds_is_refused_by_name() {
     assert_eq!(*scene.at(0).unwrap().layout(), Arc::new(layout));
     let export = Export::new(&scene).unwrap();
     refused(export.params(0..1), &["wetness", "params.npz"]);
-    refused(export.timestep(TimestepKind::Ply, 0), &["wetness", "a PLY file"]);
-    refused(export.timestep(TimestepKind::Glb, 0), &["wetness", "a glTF file"]);
+    for (kind, name) in [
+        (TimestepKind::Ply, "a PLY file"),
+        (TimestepKind::CompressedPly, "a compressed PLY file"),
+        (TimestepKind::Spz, "an SPZ file"),
+        (TimestepKind::Glb, "a glTF file"),
+        (TimestepKind::Sog, "a SOG file"),
+    ] {
+        refused(export.timestep(kind, 0), &["wetness", name]);
+    }
     refused(export.fourdgs(0..1), &["wetness", "a .4dgs file"]);
     assert_eq!(export.floats(0..1).unwrap().next().unwrap().unwrap().len(), checkpoint.parameters.num_gaussians() * 64);
     let options = CompressOptions { bits: Some((6, 6)), version: 1, ..CompressOptions::default() };

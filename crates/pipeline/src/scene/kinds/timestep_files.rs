@@ -1,4 +1,4 @@
-//! PLY, SPZ or glTF: one file, or a folder with one for each timestep.
+//! PLY, SPZ, glTF or SOG: one file, or a folder with one for each timestep.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -13,8 +13,8 @@ use crate::scene::open::{SceneKind, ending, refuse_unread};
 use crate::scene::{OpenScene, OpenSettings, SceneContent};
 
 pub(crate) const KIND: SceneKind = SceneKind {
-    mark: "PLY, SPZ or glTF files",
-    endings: &["ply", "spz", "glb", "gltf"],
+    mark: "PLY, SPZ, glTF or SOG files",
+    endings: &["ply", "spz", "glb", "gltf", "sog"],
     starts: &[b"ply", b"NGSP", b"\x1F\x8B", b"glTF"],
     is_folder: |path| trained_file(path).is_some() || TimestepFiles::is_folder(path),
     open,
