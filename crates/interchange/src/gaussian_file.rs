@@ -1,4 +1,4 @@
-//! One file of Gaussians at one timestep, of any supported kind. Its content determines the kind.
+//! One file of Gaussians at one timestep, of any supported kind. Its content determines the kind, except of `.splat`.
 
 use std::io::Read;
 use std::path::Path;
@@ -7,7 +7,7 @@ use tcgs_core::Gaussians;
 
 use crate::notes::Replaced;
 use crate::stored::{Head, checked};
-use crate::{InterchangeError, ReadSettings, gltf, input, ply, sog, spz};
+use crate::{InterchangeError, ReadSettings, gltf, input, ply, sog, splat, spz};
 
 /// Kinds of files that hold one timestep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,11 +17,16 @@ pub(crate) enum FileKind {
     Spz,
     Gltf,
     Sog,
+    /// `.splat`.
+    Splat,
 }
 
 impl FileKind {
-    /// The kind according to the first bytes.
+    /// The kind according to the first bytes; that of a `.splat` file, which begins with any bytes, by its ending.
     fn of(path: &Path) -> Result<Self, InterchangeError> {
+        if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("splat")) {
+            return Ok(Self::Splat);
+        }
         let mut start = Vec::new();
         let read = input::open(path)?.0.take(64).read_to_end(&mut start);
         read.map_err(|error| InterchangeError::Read { path: path.into(), error })?;
@@ -39,7 +44,7 @@ impl FileKind {
 }
 
 /// Reads the Gaussians of one file in stored form: a PLY file of 3D Gaussian splatting or a compressed one, an SPZ
-/// file, a glTF file with `KHR_gaussian_splatting`, or a SOG file. All come in the axes of PLY files: x right, y down, z forward. A
+/// file, a glTF file with `KHR_gaussian_splatting`, a SOG file, or a `.splat` file. All come in the axes of PLY files: x right, y down, z forward. A
 /// file's own axes are those of the settings, else those that it declares, else those of its kind
 /// ([`ReadSettings::axes`]).
 ///
@@ -64,6 +69,7 @@ pub(crate) fn read_and_count(path: &Path, settings: ReadSettings) -> Result<(Gau
         FileKind::Spz => spz::read_spz(path, settings),
         FileKind::Gltf => gltf::read_gltf(path, settings),
         FileKind::Sog => sog::read_sog(path, settings),
+        FileKind::Splat => splat::read_splat(path, settings),
     };
     checked(path, gaussians?)
 }
@@ -79,6 +85,7 @@ pub(crate) fn read_head(path: &Path, settings: ReadSettings) -> Result<(FileKind
         FileKind::Spz => spz::read_head(path, settings),
         FileKind::Gltf => gltf::read_head(path, settings),
         FileKind::Sog => sog::read_head(path, settings),
+        FileKind::Splat => splat::read_head(path, settings),
     };
     Ok((kind, head?))
 }

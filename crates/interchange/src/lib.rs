@@ -12,7 +12,8 @@
 //! | `.4dgs`, a whole scene | [`FourdgsFile`] | [`fourdgs_bytes`] |
 //! | PLY of points | [`read_ply_points`] | – |
 //! | npz archives and npy arrays of any content | [`NpzReader`], [`read_npy`] | [`NpzWriter`] |
-//! | folders of SOG, `.splat`, `.ksplat`, other archives | recognised alone: [`UnreadKind`] | – |
+//! | `.splat` of antimatter15's viewer | [`read_gaussians`] | – |
+//! | folders of SOG, `.ksplat`, other archives | recognised alone: [`UnreadKind`] | – |
 //!
 //! What lives here: these formats, and atomic writing of files ([`write_whole`], [`Unfinished`]) for every crate that
 //! writes any. What does not: the format `.tcgs` (the codec), images and cameras (the capture).
@@ -32,6 +33,7 @@ mod ply_points;
 mod settings;
 mod sog;
 mod space_order;
+mod splat;
 mod spz;
 mod stored;
 #[cfg(test)]

@@ -13,8 +13,7 @@ use crate::sog::is_sog;
 const SPLAT_TRANSFORM: &str = "a PLY file, which splat-transform makes of it";
 
 /// Kinds of files, by the endings of their names.
-const ENDINGS: [(&str, &str); 2] =
-    [("splat", "a .splat file of antimatter15's viewer"), ("ksplat", "a .ksplat file of GaussianSplats3D")];
+const ENDINGS: [(&str, &str); 1] = [("ksplat", "a .ksplat file of GaussianSplats3D")];
 /// A folder with the content of a `.sog` file.
 const SOG: UnreadKind =
     UnreadKind { name: "an unpacked SOG of SuperSplat", expected: "a .sog file, which splat-transform makes of it" };
@@ -39,9 +38,9 @@ impl UnreadKind {
     /// ```
     /// use tcgs_interchange::UnreadKind;
     /// let folder = tempfile::tempdir()?;
-    /// let path = folder.path().join("garden.splat");
+    /// let path = folder.path().join("garden.ksplat");
     /// std::fs::write(&path, "")?;
-    /// assert_eq!(UnreadKind::of(&path).map(|kind| kind.name), Some("a .splat file of antimatter15's viewer"));
+    /// assert_eq!(UnreadKind::of(&path).map(|kind| kind.name), Some("a .ksplat file of GaussianSplats3D"));
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     pub fn of(path: &Path) -> Option<Self> {
@@ -117,8 +116,8 @@ mod tests {
             assert_eq!(name(&path(file)), expected, "{file}");
         }
         for (file, expected) in [
-            ("a.SPLAT", Some("a .splat file of antimatter15's viewer")),
-            ("b.ksplat", Some("a .ksplat file of GaussianSplats3D")),
+            ("a.splat", None),
+            ("b.KSPLAT", Some("a .ksplat file of GaussianSplats3D")),
             ("c.sog", None),
             ("d.ply", None),
         ] {
@@ -138,10 +137,7 @@ mod tests {
             assert_eq!(UnreadKind::of(path), Some(SOG));
         }
         let splats = tempfile::tempdir().unwrap();
-        fs::write(splats.path().join("000.splat"), "").unwrap();
-        assert_eq!(
-            UnreadKind::of(splats.path()),
-            Some(UnreadKind::of_splats("a .splat file of antimatter15's viewer"))
-        );
+        fs::write(splats.path().join("000.ksplat"), "").unwrap();
+        assert_eq!(UnreadKind::of(splats.path()), Some(UnreadKind::of_splats("a .ksplat file of GaussianSplats3D")));
     }
 }

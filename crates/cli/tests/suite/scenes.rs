@@ -141,7 +141,7 @@ fn kinds_that_are_not_read_are_named() {
         }
         writer.finish().unwrap();
     }
-    for name in ["old.splat", "new.ksplat"] {
+    for name in ["cut.splat", "new.ksplat"] {
         fs::write(path(name), [0x1F, 0x8B, 0, 0]).unwrap();
     }
     fs::create_dir(path("unpacked")).unwrap();
@@ -156,7 +156,7 @@ fn kinds_that_are_not_read_are_named() {
         ("empty.sog", "has no meta.json, expected a SOG file"),
         ("unpacked", sog),
         ("unpacked/meta.json", sog),
-        ("old.splat", "a .splat file of antimatter15's viewer, which is not read yet, expected a PLY file"),
+        ("cut.splat", "has 4 bytes, expected 32 for each of one or more Gaussians"),
         ("new.ksplat", "a .ksplat file of GaussianSplats3D, which is not read yet, expected a PLY file"),
         ("model.pth", "a checkpoint of PyTorch, which is not read yet, expected the PLY file or params.npz"),
         ("notes.npz", "a ZIP archive without arrays of NumPy, which is not read yet, expected a params.npz"),

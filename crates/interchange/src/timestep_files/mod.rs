@@ -18,7 +18,7 @@ use crate::notes::ReplacedByTimestep;
 use crate::{Axes, InterchangeError, ReadNote, ReadSettings, spz};
 
 /// Endings of the files that are timesteps. The content of such a file decides its format.
-const ENDINGS: [&str; 5] = ["ply", "spz", "glb", "gltf", "sog"];
+const ENDINGS: [&str; 6] = ["ply", "spz", "glb", "gltf", "sog", "splat"];
 
 /// Largest motion of the median Gaussian from one file to the next, as a share of the median Gaussian's distance from
 /// the scene's middle. Common motion of all Gaussians does not count.
@@ -27,7 +27,7 @@ const ENDINGS: [&str; 5] = ["ply", "spz", "glb", "gltf", "sog"];
 /// no codec profits from tracks with such jumps.
 const MAX_JUMP: f32 = 0.5;
 
-/// A sequence of files that is read a timestep at a time: PLY, also compressed, SPZ, glTF, or SOG. The number of Gaussians
+/// A sequence of files that is read a timestep at a time: PLY, also compressed, SPZ, glTF, SOG, or `.splat`. The number of Gaussians
 /// may differ between files.
 ///
 /// ```
@@ -64,7 +64,7 @@ pub struct TimestepFiles {
 
 impl TimestepFiles {
     /// Lists the files of a folder in natural order (numbers within names are compared as numbers) whose names end in
-    /// `.ply`, `.spz`, `.glb`, `.gltf` or `.sog`, and reads their headers. Hidden files are left out.
+    /// `.ply`, `.spz`, `.glb`, `.gltf`, `.sog` or `.splat`, and reads their headers. Hidden files are left out.
     ///
     /// - `path`: the folder, or a single file of any name, which becomes a sequence of one timestep
     ///
@@ -83,7 +83,7 @@ impl TimestepFiles {
             kinds.push(kind);
             let of_file = match (settings.axes, kind) {
                 (Some(axes), _) => axes,
-                (None, FileKind::Ply | FileKind::Sog) => Axes::RDF,
+                (None, FileKind::Ply | FileKind::Sog | FileKind::Splat) => Axes::RDF,
                 (None, FileKind::Gltf) => Axes::LUF,
                 (None, FileKind::Spz) if has_assumed_axes => spz::ASSUMED_AXES,
                 (None, FileKind::Spz) => {
@@ -151,14 +151,15 @@ impl TimestepFiles {
         &self.files
     }
 
-    /// The kind of the files in two words: `PLY files`, `SPZ files`, `glTF files`, `SOG files`, or `Gaussian files`
-    /// of several kinds.
+    /// The kind of the files in two words: `PLY files`, `SPZ files`, `glTF files`, `SOG files`, `.splat files`, or
+    /// `Gaussian files` of several kinds.
     pub fn kind(&self) -> &'static str {
         match self.kind {
             Some(FileKind::Ply) => "PLY files",
             Some(FileKind::Spz) => "SPZ files",
             Some(FileKind::Gltf) => "glTF files",
             Some(FileKind::Sog) => "SOG files",
+            Some(FileKind::Splat) => ".splat files",
             None => "Gaussian files",
         }
     }

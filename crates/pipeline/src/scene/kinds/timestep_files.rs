@@ -14,7 +14,7 @@ use crate::scene::{OpenScene, OpenSettings, SceneContent};
 
 pub(crate) const KIND: SceneKind = SceneKind {
     mark: "PLY, SPZ, glTF or SOG files",
-    endings: &["ply", "spz", "glb", "gltf", "sog"],
+    endings: &["ply", "spz", "glb", "gltf", "sog", "splat"],
     starts: &[b"ply", b"NGSP", b"\x1F\x8B", b"glTF"],
     is_folder: |path| trained_file(path).is_some() || TimestepFiles::is_folder(path),
     open,
@@ -23,7 +23,7 @@ pub(crate) const KIND: SceneKind = SceneKind {
 fn open(path: &Path, settings: OpenSettings) -> Result<OpenScene, PipelineError> {
     let is_folder = path.is_dir();
     if !is_folder && !KIND.endings.contains(&ending(path)) {
-        // A .splat file begins with a position, so its first bytes are arbitrary.
+        // The first bytes of a file that is not read are arbitrary.
         refuse_unread(path)?;
     }
     let trained = is_folder.then(|| trained_file(path)).flatten();
