@@ -7,15 +7,16 @@
 //!
 //! | part | image | red, green, blue | alpha | here |
 //! |---|---|---|---|---|
-//! | `means` | first | low bytes of x, y, z | | `means`: `sign(m) (exp(abs(m)) - 1)` of a 16-bit share `m` of the range from `mins` to `maxs` |
+//! | `means` | first | low bytes of `m` for x, y, z | | `means`: `sign(m) (exp(abs(m)) - 1)` |
 //! | | second | high bytes | | |
-//! | `quats` | | `(√2 q / 2 + ½) 255` of all components but the largest, in the order `w, x, y, z` | 252 and the place of the largest | `quats`; the largest follows, positive |
+//! | `quats` | | `(√2 q / 2 + ½) 255` of the three smallest | 252 + place of the largest | `quats`; order `w, x, y, z` |
 //! | `scales` | | places in `codebook` | | `log_scales` |
 //! | `sh0` | | places in `codebook` | opacity, activated | `colors`, as coefficients of degree 0 |
 //! | `shN` | second | low and high byte of a place in the palette of `count` rows | | `sh1` to `sh3`, up to degree `bands` |
 //! | | first | places in `codebook`: for each row of the palette its coefficients; 64 rows a line | | |
 //!
-//! A codebook has up to 256 numbers. `model` is `antialiased` if the Gaussians are drawn with antialiasing
+//! A codebook has up to 256 numbers. The 16 bits of `m` divide the range from `mins` to `maxs`. `model` is
+//! `antialiased` if the Gaussians are drawn with antialiasing
 //! ([`Layout::is_antialiased`](tcgs_core::Layout::is_antialiased)). Axes are those of PLY files.
 
 mod codebook;

@@ -27,8 +27,8 @@ const ENDINGS: [&str; 6] = ["ply", "spz", "glb", "gltf", "sog", "splat"];
 /// no codec profits from tracks with such jumps.
 const MAX_JUMP: f32 = 0.5;
 
-/// A sequence of files that is read a timestep at a time: PLY, also compressed, SPZ, glTF, SOG, or `.splat`. The number of Gaussians
-/// may differ between files.
+/// A sequence of files that is read a timestep at a time: PLY, also compressed, SPZ, glTF, SOG, or `.splat`. The number
+/// of Gaussians may differ between files.
 ///
 /// ```
 /// use tcgs_core::{Gaussians, SceneReader};
