@@ -7,7 +7,7 @@ use anyhow::Context;
 use image::RgbImage;
 use rayon::prelude::*;
 use tcgs_capture::{Capture, Split};
-use tcgs_core::{Attribute, Image};
+use tcgs_core::Attribute;
 use tcgs_pipeline::{Evaluation, ImageScore, OpenScene};
 use tcgs_render::device::GpuError;
 use tcgs_render::{DrawAny, RenderSettings};
@@ -16,6 +16,7 @@ use tcgs_train::Run;
 
 use super::Outcome;
 use crate::output::show_bytes;
+use crate::pictures::side_by_side;
 
 /// Number of timesteps in the report, spread over the clip.
 const SHOWN: usize = 4;
@@ -57,22 +58,6 @@ pub fn write_frames(
         }
     }
     Ok(pictures)
-}
-
-/// Both images side by side with a white line between them.
-fn side_by_side(left: &Image, right: &Image) -> RgbImage {
-    let (width, height) = (left.width, left.height);
-    let (left, right) = (left.to_rgb8(), right.to_rgb8());
-    RgbImage::from_fn(2 * width as u32 + 2, height as u32, |x, y| {
-        let (x, y) = (x as usize, y as usize);
-        let (source, x) = match x {
-            x if x < width => (&left, x),
-            x if x < width + 2 => return image::Rgb([255; 3]),
-            x => (&right, x - width - 2),
-        };
-        let at = 3 * (y * width + x);
-        image::Rgb([source[at], source[at + 1], source[at + 2]])
-    })
 }
 
 fn enlarged(image: &RgbImage) -> RgbImage {
