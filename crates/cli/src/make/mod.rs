@@ -15,13 +15,13 @@ use std::time::{Duration, Instant};
 
 use serde_json::json;
 use tcgs_capture::Capture;
-use tcgs_pipeline::FootageOptions;
+use tcgs_pipeline::{FootageOptions, open_source};
 
 use crate::backend::{BackendName, BackendOptions};
 use crate::error::wrong_input;
 use crate::next;
 use crate::options::{self, JobOptions};
-use crate::output::{check_folder, show_time, write_file};
+use crate::output::{check_files, check_folder, show_time, write_file};
 use crate::terminal::say;
 
 use self::budget::Plan;
@@ -92,13 +92,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         ..FootageOptions::default()
     };
     let is_footage = footage.is_footage(&arguments.source)?;
+    if !is_footage {
+        open_source(&arguments.source)?;
+    }
     let record = Record::begin(&folder, &arguments.choices(), arguments.job.force)?;
     // A scene of an earlier call is this command's own; any other is not.
     let force = arguments.job.force || record.has_begun("compress");
-    let json: Vec<&Path> = arguments.job.json.as_deref().into_iter().collect();
     arguments.job.begin(&[], &[&arguments.source])?;
-    crate::output::check_files(&[&scene], &[&arguments.source], force)?;
-    drop(json);
+    check_files(&[&scene], &[&arguments.source], force)?;
     next::be_silent();
     let mut making = Making { arguments, scene, folder, is_footage, record, begin: Instant::now() };
     making.prepare()?;

@@ -9,6 +9,7 @@ use anyhow::Context;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use tcgs_core::read_text;
+use tcgs_interchange::parent_folder;
 
 use super::budget::Plan;
 use crate::error::wrong_input;
@@ -54,7 +55,7 @@ pub struct Record {
 }
 
 impl Record {
-    /// Reads the record of an earlier call with the same choices, or begins one.
+    /// Reads the record of an earlier call with the same choices, or begins one. Nothing is written before the first step.
     ///
     /// - `force`: whether what an earlier call made is removed first
     pub fn begin(folder: &Path, choices: &Value, force: bool) -> anyhow::Result<Self> {
@@ -77,7 +78,6 @@ impl Record {
             let before = Duration::from_secs_f64(stored.steps.iter().filter_map(|step| step.seconds).sum());
             return Ok(Self { path, stored, before });
         }
-        fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
         for name in OURS {
             let old = folder.join(name);
             let removed = if old.is_dir() { fs::remove_dir_all(&old) } else { fs::remove_file(&old) };
@@ -89,9 +89,7 @@ impl Record {
             }
         }
         let stored = Stored { choices: choices.clone(), ..Stored::default() };
-        let record = Self { path, stored, before: Duration::ZERO };
-        record.write()?;
-        Ok(record)
+        Ok(Self { path, stored, before: Duration::ZERO })
     }
 
     /// Whether a step was begun, now or by an earlier call.
@@ -153,6 +151,8 @@ impl Record {
 
     fn write(&self) -> anyhow::Result<()> {
         let text = serde_json::to_string_pretty(&self.stored).context("writing JSON")?;
+        let folder = parent_folder(&self.path);
+        fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
         write_file(&self.path, format!("{text}\n").as_bytes(), true)
     }
 }
