@@ -52,10 +52,10 @@ def test_a_trained_scene_keeps_its_rows_and_colours(run: Path, tmp_path: Path) -
 
 
 def test_gaussians_outside_their_lives_are_transparent(tmp_path: Path) -> None:
-    path = Path(__file__).resolve().parents[3] / "testdata/bitstream/v2/births.tcgs"
+    path = Path(__file__).resolve().parents[3] / "testdata/bitstream/v2/lives.tcgs"
     scene = tcgs.open(path)
-    scene.save(tmp_path / "births.usda")
-    _, field = splats(tmp_path / "births.usda")
+    scene.save(tmp_path / "lives.usda")
+    _, field = splats(tmp_path / "lives.usda")
     counts = [len(scene.at(t).means) for t in range(len(scene))]
     assert min(counts) < max(counts)
     for t, count in enumerate(counts):
