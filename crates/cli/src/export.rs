@@ -22,13 +22,14 @@ use crate::terminal::{note, say};
 /// births or deaths with --frames, or write another kind of file: all others hold the whole scene.
 ///
 /// A PLY file has the format of 3D Gaussian splatting, which most viewers read. A .glb file is glTF with
-/// KHR_gaussian_splatting. Files of the endings .compressed.ply, .spz and .sog are smaller and round all numbers; a .sog
-/// file rounds colours and harmonics most. All of these hold one timestep; in a folder of many a file's name is its
-/// frame. An .spz file declares the axes of PLY files; version 4 of the format is written. A .4dgs file holds
-/// all timesteps, quantised as finely as its format offers. A .usda file is animated USD for Omniverse, Houdini and
-/// others (ParticleField3DGaussianSplat of OpenUSD 26.03), as text: usdcat makes it smaller. A .f32 file holds plain floats, bit for bit: for each frame
-/// all means, quats, log_scales, logit_opacities and colors, then further columns, little-endian. A run is exported in
-/// floats, without the Gaussians that its masks prune: these files cannot hold masks.
+/// KHR_gaussian_splatting. Files of the endings .compressed.ply, .spz and .sog are smaller and round all numbers; a
+/// .sog file rounds colours and harmonics most. All of these hold one timestep; in a folder of many a file's name is
+/// its frame. An .spz file declares the axes of PLY files; version 4 of the format is written. A .4dgs file holds all
+/// timesteps, quantised as finely as its format offers. A .usda file is animated USD for Omniverse, Houdini and others
+/// (ParticleField3DGaussianSplat of OpenUSD 26.03), as text: usdcat makes it smaller. A .f32 file holds plain floats,
+/// bit for bit: for each frame all means, quats, log_scales, logit_opacities and colors, then further columns,
+/// little-endian. A run is exported in floats, without the Gaussians that its masks prune: these files cannot hold
+/// masks.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:
@@ -196,8 +197,8 @@ fn target(arguments: &Arguments) -> anyhow::Result<Target> {
         }
         _ => {
             let problem = "not a kind of file that this version writes";
-            let expected = "NAME.npz, NAME.ply, NAME.compressed.ply, NAME.spz, NAME.glb, NAME.sog, NAME.4dgs, NAME.usda, \
-                            NAME.f32, or a folder's name without an ending";
+            let expected = "NAME.npz, NAME.ply, NAME.compressed.ply, NAME.spz, NAME.glb, NAME.sog, NAME.4dgs, \
+                            NAME.usda, NAME.f32, or a folder's name without an ending";
             Err(wrong_input(format!("{}: {problem}, expected {expected}", to.display())))
         }
     }

@@ -1,8 +1,9 @@
-//! Writes a scene as an animated USD file in text, `.usda`: one `ParticleField3DGaussianSplat` of `OpenUSD` 26.03 and later.
+//! Writes a scene as an animated USD file in text, `.usda`: one `ParticleField3DGaussianSplat` of `OpenUSD` 26.03 and
+//! later.
 //!
-//! Attributes that no timestep changes are written once, the others with a sample for each timestep. Programs interpolate
-//! between two samples of equal length, and hold samples of unequal length. Axes are y up and x right, as `OpenUSD`'s
-//! cameras have them.
+//! Attributes that no timestep changes are written once, the others with a sample for each timestep. Programs
+//! interpolate between two samples of equal length, and hold samples of unequal length. Axes are y up and x right, as
+//! `OpenUSD`'s cameras have them.
 
 use std::io::{self, Write};
 use std::ops::Range;
@@ -54,8 +55,8 @@ const ATTRIBUTES: [Attribute; 5] = [
 ];
 
 /// Writes an animated USD file (`.usda`). Row `i` is the same Gaussian at all timesteps that have equally many. Further
-/// columns than colours by harmonics are left out. The file does not say whether a scene is antialiased: USD has no word
-/// for it.
+/// columns than colours by harmonics are left out. The file does not say whether a scene is antialiased: USD has no
+/// word for it.
 ///
 /// - `writer`: should be buffered
 /// - `scene`: stored form, in the axes of PLY files; every timestep is read several times, one is held. A logit of
@@ -72,11 +73,9 @@ const ATTRIBUTES: [Attribute; 5] = [
 ///     gaussians.quats_mut()[0] = [1.0, 0.0, 0.0, 0.0];
 ///     gaussians.means_mut()[0][0] = x;
 ///     scene.push(gaussians);
-/// }
-/// let mut text = Vec::new();
-/// write_usda_to(&mut text, &mut &scene, 7, 30.0)?;
-/// let text = String::from_utf8(text)?;
-/// assert!(text.contains("point3f[] positions.timeSamples = {\n            7: [(0, 0, 0)],\n            8: [(1, 0, 0)],"));
+/// } let mut text = Vec::new(); write_usda_to(&mut text, &mut &scene, 7, 30.0)?; let text = String::from_utf8(text)?;
+/// assert!(text.contains("point3f[] positions.timeSamples = {\n            7: [(0, 0, 0)],\n            8: [(1, 0,
+/// 0)],"));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
@@ -95,11 +94,26 @@ pub fn write_usda_to<R: SceneReader>(
     let last = first_frame + timesteps.len().saturating_sub(1);
     write!(
         writer,
-        "#usda 1.0\n(\n    defaultPrim = \"Scene\"\n    upAxis = \"Y\"\n    metersPerUnit = 1\n    startTimeCode = \
-         {first_frame}\n    endTimeCode = {last}\n    timeCodesPerSecond = {frame_rate}\n    framesPerSecond = \
-         {frame_rate}\n)\n\ndef Xform \"Scene\"\n{{\n    def ParticleField3DGaussianSplat \"Gaussians\"\n    {{\n        \
-         float3[] extent = [{low}, {high}]\n        uniform int radiance:sphericalHarmonicsDegree = {degree}\n        \
-         uniform token projectionModeHint = \"perspective\"\n        uniform token sortingModeHint = \"zDepth\"\n"
+        r#"#usda 1.0
+(
+    defaultPrim = "Scene"
+    upAxis = "Y"
+    metersPerUnit = 1
+    startTimeCode = {first_frame}
+    endTimeCode = {last}
+    timeCodesPerSecond = {frame_rate}
+    framesPerSecond = {frame_rate}
+)
+
+def Xform "Scene"
+{{
+    def ParticleField3DGaussianSplat "Gaussians"
+    {{
+        float3[] extent = [{low}, {high}]
+        uniform int radiance:sphericalHarmonicsDegree = {degree}
+        uniform token projectionModeHint = "perspective"
+        uniform token sortingModeHint = "zDepth"
+"#
     )?;
     for (attribute, varies) in ATTRIBUTES.iter().zip(survey.varies) {
         let Attribute { name, element, components, values } = attribute;
@@ -130,7 +144,7 @@ pub fn write_usda_to<R: SceneReader>(
     writer.write_all(b"    }\n}\n")
 }
 
-/// What has to be known before the first line.
+/// Facts about all timesteps, for the first lines of the file.
 struct Survey {
     /// Which attributes vary with time.
     varies: [bool; ATTRIBUTES.len()],

@@ -55,8 +55,8 @@ pub fn save(scene: &OpenScene, path: &Path, overwrite: bool, watch: &mut Watch) 
         Some(_) => match TimestepKind::of(path) {
             Some(kind) => kind,
             None => {
-                let expected =
-                    ".tcgs, .npz, .4dgs, .usda, .ply, .compressed.ply, .spz, .glb or .sog, or a new folder for PLY files";
+                let expected = ".tcgs, .npz, .4dgs, .usda, .ply, .compressed.ply, .spz, .glb or .sog, or a new folder \
+                                for PLY files";
                 return Err(wrong(path, "has an unknown ending", expected));
             }
         },

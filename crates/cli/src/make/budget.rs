@@ -52,11 +52,11 @@ pub struct Plan {
 /// Speed of training on a machine.
 #[derive(Clone, Copy, Debug)]
 struct Speed {
-    /// Of an iteration of the first timestep, seconds.
+    /// Seconds for an iteration of the first timestep.
     first: f64,
-    /// Of an iteration of a later timestep, seconds.
+    /// Seconds for an iteration of a later timestep.
     rest: f64,
-    /// Of a later timestep besides its iterations, seconds.
+    /// Seconds for a later timestep, without its iterations.
     between: f64,
 }
 
@@ -108,7 +108,8 @@ impl Plan {
         if let Some(wanted) = self.wanted_seconds.filter(|wanted| self.seconds > 1.2 * wanted) {
             let wanted = show_time(Duration::from_secs_f64(wanted));
             lines.push(format!(
-                "this is the shortest training, and --time leaves {wanted} for it; --from and --to take a part of the videos"
+                "this is the shortest training, and --time leaves {wanted} for it; --from and --to take a part of the \
+                 videos"
             ));
         }
         lines

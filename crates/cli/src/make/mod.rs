@@ -2,7 +2,7 @@
 //!
 //! What lives here: the order of the steps, and the record by which an interrupted call goes on. `budget` fits the
 //! training into a time, `sound` takes the sound of the footage, `page` shows the results. What does not: the steps
-//! themselves, each of which is a command that anybody may repeat.
+//! themselves. Each is a command of its own.
 
 mod budget;
 mod page;
@@ -29,9 +29,9 @@ use self::record::Record;
 
 /// Make a scene of videos, by one command: capture, training, compressed file, and a page of results
 ///
-/// Runs tcgs prepare, train and compress one after another, and prints each as a command that can be repeated. The scene
-/// is OUT. Everything else goes into a folder of the same name without the ending: capture/ with check.html, run/,
-/// sound.ogg, make.json with every choice, and report.html.
+/// Runs tcgs prepare, train and compress one after another, and prints each as a command that can be repeated. The
+/// scene is OUT. Everything else goes into a folder of the same name without the ending: capture/ with check.html,
+/// run/, sound.ogg, make.json with every choice, and report.html.
 ///
 /// The same command goes on after an interruption. Steps that are finished are not repeated.
 ///
@@ -117,7 +117,7 @@ fn beside(source: &Path) -> PathBuf {
 }
 
 impl Arguments {
-    /// What an interrupted call must repeat to go on.
+    /// Options that must be the same for a call to go on after an interruption.
     fn choices(&self) -> serde_json::Value {
         json!({
             "source": self.source.canonicalize().unwrap_or_else(|_| self.source.clone()).display().to_string(),
@@ -172,7 +172,7 @@ impl Making<'_> {
         self.step(1, "prepare", words)
     }
 
-    /// The training that fits the machine and the time; that of the record where the call goes on.
+    /// The training that fits the machine and the time. A call that goes on takes it from the record.
     fn plan(&mut self) -> anyhow::Result<Plan> {
         if let Some(plan) = self.record.plan() {
             return Ok(plan);

@@ -178,7 +178,7 @@ fn prepared(folder: &Path) -> Value {
     text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default()
 }
 
-/// What was uncertain, and from where the scene can be looked at.
+/// Uncertain results of the steps, and the views that can be expected to be good.
 fn uncertain(prepared: &Value, record: &Record, held_out: bool) -> Vec<String> {
     let check = &prepared["check"];
     let mut lines = Vec::new();

@@ -1,4 +1,4 @@
-//! The record of a call, `make.json`: what was asked for, what was chosen, and which steps are done.
+//! The record of a call, `make.json`: options, chosen settings, and finished steps.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -20,12 +20,12 @@ use crate::scene::unreadable;
 const FILE: &str = "make.json";
 /// Largest record that is read, bytes.
 const MAX_BYTES: u64 = 1 << 20;
-/// What a call writes into its folder, the record last.
+/// Entries of the folder that a call writes, the record last.
 const OURS: [&str; 8] = ["capture", "run", "speed", "sound.ogg", "prepare.json", "compress.json", "report.html", FILE];
 
 #[derive(Debug, Default, Deserialize, Serialize)]
 struct Stored {
-    /// What the command line asked for.
+    /// Options of the command line.
     choices: Value,
     /// The training that was chosen.
     plan: Option<Plan>,
@@ -55,9 +55,10 @@ pub struct Record {
 }
 
 impl Record {
-    /// Reads the record of an earlier call with the same choices, or begins one. Nothing is written before the first step.
+    /// Reads the record of an earlier call with the same choices, or begins one. Nothing is written before the first
+    /// step.
     ///
-    /// - `force`: whether what an earlier call made is removed first
+    /// - `force`: whether the results of an earlier call are removed first
     pub fn begin(folder: &Path, choices: &Value, force: bool) -> anyhow::Result<Self> {
         let path = folder.join(FILE);
         let is_ours = path.is_file();
@@ -72,7 +73,7 @@ impl Record {
                 .map_err(|error| wrong_input(format!("{}: {error}, expected the record of a call", path.display())))?;
             if let Some(key) = first_difference(&stored.choices, choices) {
                 let [was, is] = [&stored.choices, choices].map(|choices| &choices[key]);
-                let expected = "expected the same command, another --out, or --force to begin anew";
+                let expected = "expected the same command, another --out, or --force to start over";
                 return Err(wrong_input(format!("{}: {key} was {was}, found {is}, {expected}", path.display())));
             }
             let before = Duration::from_secs_f64(stored.steps.iter().filter_map(|step| step.seconds).sum());

@@ -17,13 +17,13 @@ const SILENCE: f32 = 1e-8;
 const OVERDRIVEN: (f32, f32) = (0.99, 0.001);
 const BITRATE: &str = "96k";
 
-/// What came of it.
+/// The result of [`take`] in words.
 pub struct Taken {
     pub line: String,
 }
 
-/// Writes the sound of the camera with the best signal as Ogg Opus. Without sound or `ffmpeg` no file is written, and the
-/// line says so.
+/// Writes the sound of the camera with the best signal as Ogg Opus. Without sound or `ffmpeg` no file is written, and
+/// the line says so.
 pub fn take(capture: &Path, out: &Path) -> anyhow::Result<Taken> {
     let line = |text: String| Ok(Taken { line: format!("sound: {text}") });
     let file = capture.join(DESCRIPTION_FILE);

@@ -50,7 +50,7 @@ fn videos_become_a_scene_and_a_page() {
     }
     assert!(!page.contains("Not measured"));
 
-    // What is done is not done again; what was lost is.
+    // Finished steps are not repeated.
     let before = fs::read(&scene).unwrap();
     let said = succeed(&make);
     assert!(

@@ -20,10 +20,10 @@ use crate::stored::sh0_from_color;
 /// equal bytes.
 ///
 /// A coordinate `x` errs by at most `(1 + |x|) / 131070` of the range of `sign(x) ln(1 + |x|)` over all Gaussians, a
-/// component of a rotation by `1 / 361`, an opacity by `1 / 510`. A codebook of 256 numbers holds all log scales, one
-/// all colours, one all harmonics; with at most 256 different values nothing is rounded, else none errs by more than
-/// 1/64 of their range. Beyond 65536 Gaussians similar ones share their harmonics. Images are smaller if neighbours in
-/// space are neighbours in the file ([`space_order`](crate::space_order)); the writer keeps the order.
+/// component of a rotation by `1 / 361`, an opacity by `1 / 510`. Log scales, colours and harmonics have a codebook of
+/// 256 numbers each. Up to 256 different values are not rounded. More than that err by at most 1/64 of their range.
+/// Beyond 65536 Gaussians similar ones share their harmonics. Images are smaller if neighbours in space are neighbours
+/// in the file ([`space_order`](crate::space_order)); the writer keeps the order.
 ///
 /// - `gaussians`: `[N]`, stored form, in the axes of PLY files; at least one
 ///

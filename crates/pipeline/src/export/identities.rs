@@ -84,7 +84,7 @@ impl SceneReader for Identified<'_> {
         self.identities.as_ref().map_or_else(of_scene, Vec::len)
     }
 
-    /// Read in order: a Gaussian that has died is where it was at the timestep that was read before.
+    /// Timesteps are read in order: after its death a Gaussian keeps the place that it had last.
     fn at(&mut self, timestep: usize) -> Result<Gaussians, PipelineError> {
         let frame = self.frames.start + timestep;
         let gaussians = self.export.gaussians(frame)?;

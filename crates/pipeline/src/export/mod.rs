@@ -99,7 +99,7 @@ impl TimestepKind {
 /// The order of the Gaussians in the files of a sequence. The same Gaussians keep it, so that a reader can follow them.
 #[derive(Default)]
 struct FileOrder {
-    /// Of which Gaussians the order is; none if the scene does not say.
+    /// Identities of the ordered Gaussians; none if the scene does not identify them.
     identities: Option<Vec<usize>>,
     order: Vec<usize>,
 }
@@ -338,8 +338,8 @@ impl<'a> Export<'a> {
             .map_err(|problem| PipelineError::input(self.scene.path.display(), problem, "what a .4dgs file can hold"))
     }
 
-    /// Some frames as an animated USD file in text ([`write_usda_to`]). Row `i` is the same Gaussian at all timesteps, if the
-    /// scene identifies its Gaussians. Outside its life a Gaussian has opacity 0.
+    /// Some frames as an animated USD file in text ([`write_usda_to`]). Row `i` is the same Gaussian at all timesteps,
+    /// if the scene identifies its Gaussians. Outside its life a Gaussian has opacity 0.
     ///
     /// # Errors
     /// As [`Self::timestep`].
@@ -381,8 +381,9 @@ impl<'a> Export<'a> {
         Ok(self.scene.choose_frames(Some(&frames))?.map(move |frame| self.gaussians(frame).map(bytes)))
     }
 
-    /// Writes one file per frame, named by its number: `000012.ply`. The Gaussians of compressed PLY and SOG files are in
-    /// another order than those of the scene, which is that of the frame before as long as the Gaussians are the same.
+    /// Writes one file per frame, named by its number: `000012.ply`. The Gaussians of compressed PLY and SOG files are
+    /// in another order than those of the scene, which is that of the frame before as long as the Gaussians are the
+    /// same.
     ///
     /// - `folder`: exists; its contents stay
     /// - returns: bytes written
