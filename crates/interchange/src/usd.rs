@@ -214,9 +214,9 @@ fn coefficients(gaussians: &Gaussians) -> Vec<f32> {
 
 /// An element as text: a number, or several in brackets. Every float is read back as it is.
 fn row(element: &[f32]) -> String {
-    // The shortest digits that tell a float from all others, without a zero behind the point.
+    // The shortest digits that tell a float from all others, without a zero behind the point. Zero has no sign.
     let number = |x: &f32| {
-        let text = format!("{x:?}");
+        let text = format!("{:?}", x + 0.0);
         text.strip_suffix(".0").map_or_else(|| text.clone(), Into::into)
     };
     match element {
@@ -249,13 +249,13 @@ mod tests {
         }
         let text = text(&scene);
         for expected in [
-            "positions.timeSamples = {\n            0: [(0, -0, -0), (0.1, -1e-9, -0)],",
+            "positions.timeSamples = {\n            0: [(0, 0, 0), (0.1, -1e-9, 0)],",
             "opacities.timeSamples = {\n            0: [0.5, 0.5],\n            1: [0, 0.5],",
-            "quatf[] orientations = [(0, 1, -0, -0), (0, 1, -0, -0)]\n",
+            "quatf[] orientations = [(0, 1, 0, 0), (0, 1, 0, 0)]\n",
             "float3[] scales = [(1, 1, 1), (1, 1, 1)]\n",
             "radiance:sphericalHarmonicsDegree = 0\n",
             "timeCodesPerSecond = 24\n",
-            "extent = [(-3, -3.0000000",
+            "extent = [(-3, -3, -5), (3.1, 3, 3)]\n",
         ] {
             assert!(text.contains(expected), "{expected:?} in {text}");
         }
