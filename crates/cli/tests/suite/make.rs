@@ -58,7 +58,9 @@ fn videos_become_a_scene_and_a_page() {
         "{said}"
     );
     assert_eq!(fs::read(&scene).unwrap(), before);
-    let message = fail(2, &[&make[..5], &["3s"]].concat());
+    let mut other = make;
+    other[5] = "3s";
+    let message = fail(2, &other);
     assert!(message.contains("time_seconds was 2.0, found 3.0, expected the same command"), "{message}");
 }
 
@@ -75,6 +77,7 @@ fn nothing_of_others_is_replaced() {
     assert!(message.contains("film: expected NAME.tcgs for the scene"), "{message}");
 
     assert!(!place.exists());
+    fs::write(source.join("cam0.mp4"), "not read yet").unwrap();
     fs::create_dir(&place).unwrap();
     fs::write(place.join("run"), "mine").unwrap();
     let message = fail(2, &make);
