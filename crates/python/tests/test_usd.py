@@ -62,4 +62,4 @@ def test_gaussians_outside_their_lives_are_transparent(tmp_path: Path) -> None:
         opacities = np.array(field.GetOpacitiesAttr().Get(t))
         positions = np.array(field.GetPositionsAttr().Get(t))
         assert len(opacities) == len(positions) and (opacities > 0).sum() == count
-        np.testing.assert_array_equal(positions[opacities > 0], scene.at(t).means * np.float32([1, -1, -1]))
+        np.testing.assert_array_equal(positions[opacities > 0], scene.at(t).means * np.array([1, -1, -1], np.float32))
