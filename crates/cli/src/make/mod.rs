@@ -79,6 +79,8 @@ const NUM_STEPS: usize = 4;
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    // Before anything computes, which would start the threads.
+    arguments.job.begin(&[], &[&arguments.source])?;
     let scene = arguments.out.clone().unwrap_or_else(|| beside(&arguments.source));
     if scene.extension().is_none_or(|ending| ending != "tcgs") {
         return Err(wrong_input(format!("{}: expected NAME.tcgs for the scene", scene.display())));
@@ -98,7 +100,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let record = Record::begin(&folder, &arguments.choices(), arguments.job.force)?;
     // A scene of an earlier call is this command's own; any other is not.
     let force = arguments.job.force || record.has_begun("compress");
-    arguments.job.begin(&[], &[&arguments.source])?;
     check_files(&[&scene], &[&arguments.source], force)?;
     next::be_silent();
     let mut making = Making { arguments, scene, folder, is_footage, record, begin: Instant::now() };

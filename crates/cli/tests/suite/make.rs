@@ -88,3 +88,14 @@ fn nothing_of_others_is_replaced() {
     assert!(message.contains("film.tcgs: exists"), "{message}");
     assert_eq!(fs::read_to_string(&scene).unwrap(), "mine");
 }
+
+#[test]
+fn a_capture_with_points_is_trained_at_once() {
+    let folder = tempdir().unwrap();
+    let scene = folder.path().join("scene.tcgs");
+    let make = ["make", text(capture()), "--out", text(&scene), "--time", "1s", "--backend", "cpu"];
+    let said = succeed(&make);
+    assert!(said.contains("is a capture with points") && said.contains("sound: none"), "{said}");
+    let place = folder.path().join("scene");
+    assert!(scene.exists() && place.join("report.html").exists() && !place.join("capture").exists());
+}
