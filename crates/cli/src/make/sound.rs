@@ -95,7 +95,9 @@ mod tests {
     fn a_clear_sound_beats_noise_silence_and_overdriven_sound() {
         let seconds = |loud: f32, quiet: f32| -> Vec<f32> {
             let tone = |i: usize, level: f32| level * (0.7 * i as f32).sin();
-            (0..4 * RATE as usize).map(|i| tone(i, if i / RATE as usize % 2 == 0 { loud } else { quiet })).collect()
+            (0..4 * RATE as usize)
+                .map(|i| tone(i, if (i / RATE as usize).is_multiple_of(2) { loud } else { quiet }))
+                .collect()
         };
         let of = |loud, quiet| clarity_of(&seconds(loud, quiet));
         assert!(of(0.5, 0.01) > of(0.5, 0.2));
