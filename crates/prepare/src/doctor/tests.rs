@@ -7,10 +7,8 @@ use tempfile::TempDir;
 
 use super::*;
 
-const NUM_CAMERAS: usize = 9;
+const NUM_CAMERAS: usize = 12;
 const NUM_TEST_CAMERAS: usize = 2;
-/// Enough for cameras that are three frames late.
-const NUM_TIMESTEPS: usize = 12;
 
 /// A healthy capture for all tests; no test writes to it.
 fn healthy() -> &'static Path {
@@ -21,7 +19,6 @@ fn healthy() -> &'static Path {
             let settings = SyntheticSettings {
                 num_train_cameras: NUM_CAMERAS,
                 num_test_cameras: NUM_TEST_CAMERAS,
-                num_timesteps: NUM_TIMESTEPS,
                 num_points: 20_000,
                 ..SyntheticSettings::default()
             };
