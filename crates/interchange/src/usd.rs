@@ -73,9 +73,11 @@ const ATTRIBUTES: [Attribute; 5] = [
 ///     gaussians.quats_mut()[0] = [1.0, 0.0, 0.0, 0.0];
 ///     gaussians.means_mut()[0][0] = x;
 ///     scene.push(gaussians);
-/// } let mut text = Vec::new(); write_usda_to(&mut text, &mut &scene, 7, 30.0)?; let text = String::from_utf8(text)?;
-/// assert!(text.contains("point3f[] positions.timeSamples = {\n            7: [(0, 0, 0)],\n            8: [(1, 0,
-/// 0)],"));
+/// }
+/// let mut text = Vec::new();
+/// write_usda_to(&mut text, &mut &scene, 7, 30.0)?;
+/// let text = String::from_utf8(text)?;
+/// assert!(text.contains("7: [(0, 0, 0)],") && text.contains("8: [(1, 0, 0)],"));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
