@@ -11,7 +11,7 @@ use std::ops::Range;
 use tcgs_core::{Gaussians, SceneReader, normalize, sigmoid};
 
 use crate::axes::Axes;
-use crate::stored::sh0_from_color;
+use crate::stored::{harmonics_in_rows, sh0_from_color};
 
 /// Standard deviations of a Gaussian that count as its extent.
 const EXTENT: f64 = 3.0;
@@ -202,14 +202,12 @@ fn orientations(gaussians: &Gaussians) -> Vec<f32> {
 
 /// Harmonic coefficients of each Gaussian, by degree and order; degree 0 is the colour.
 fn coefficients(gaussians: &Gaussians) -> Vec<f32> {
-    let bands: Vec<_> = gaussians.layout().harmonics().to_vec();
-    let mut all = Vec::new();
-    for (i, color) in gaussians.colors().iter().enumerate() {
+    let mut harmonics = harmonics_in_rows(gaussians).into_iter();
+    let num_further = 3 * ((gaussians.layout().sh_degree() + 1).pow(2) - 1);
+    let mut all = Vec::with_capacity(gaussians.num_gaussians() * (3 + num_further));
+    for color in gaussians.colors() {
         all.extend(color.map(sh0_from_color));
-        for &band in &bands {
-            let components = band.components();
-            all.extend_from_slice(&gaussians.values(band)[i * components..(i + 1) * components]);
-        }
+        all.extend(harmonics.by_ref().take(num_further));
     }
     all
 }

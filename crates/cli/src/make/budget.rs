@@ -66,12 +66,12 @@ impl Plan {
     /// - `scratch`: folder that is made and removed
     /// - `left`: time for training and refinement; none without a limit
     pub fn make(capture: &Capture, backend: &Backend, scratch: &Path, left: Option<Duration>) -> anyhow::Result<Self> {
-        let cameras = capture.cameras(Split::Train, 0, 1)?;
+        let usual = settings_for(Preset::Fast, capture);
+        let (first_frame, num_timesteps) = (usual.data.first_frame, usual.data.end_frame - usual.data.first_frame);
+        let cameras = capture.cameras(Split::Train, first_frame, 1)?;
         let [width, height] = cameras.first().map_or([1, 1], |(_, camera)| [camera.width, camera.height]);
         let max_width = MAX_WIDTH[usize::from(backend.gpu_info().is_some())];
-        let usual = settings_for(Preset::Fast, capture).schedule;
-        let usual = [usual.first_iterations, usual.rest_iterations];
-        let num_timesteps = capture.num_frames();
+        let usual = [usual.schedule.first_iterations, usual.schedule.rest_iterations];
         let wanted = left.map(|left| left.as_secs_f64() * SHARE_OF_TRAINING);
         let mut downscale = width.div_ceil(max_width).max(1);
         loop {
@@ -122,7 +122,7 @@ impl Speed {
         let mut config = settings_for(Preset::Fast, capture);
         [config.schedule.first_iterations, config.schedule.rest_iterations] = TRIAL;
         config.data.downscale = downscale;
-        config.data.end_frame = (config.data.first_frame + 2).min(capture.num_frames());
+        config.data.end_frame = (config.data.first_frame + 2).min(config.data.end_frame);
         let ReadyRun { capture, run, trainer, folder } =
             ReadyRun::begin(scratch, Existing::Replace, &config, capture, None, backend)?;
         fit(&capture, &run, trainer, &mut |_: &Event| interrupt::asked())?;

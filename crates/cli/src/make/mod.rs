@@ -156,7 +156,7 @@ impl Making<'_> {
         if capture == arguments.source {
             return say(&format!("1/{NUM_STEPS}  {} is a capture with points", capture.display()));
         }
-        let mut words = words(["prepare".into(), arguments.source.as_os_str().into()]);
+        let mut words = vec!["prepare".into(), arguments.source.as_os_str().into()];
         words.extend(["--out".into(), capture.into_os_string()]);
         let numbers = [("--from", arguments.from), ("--to", arguments.to)];
         words.extend(
@@ -168,8 +168,6 @@ impl Making<'_> {
         if self.is_footage {
             words.extend(arguments.hold_out.iter().flat_map(|name| ["--hold-out".into(), name.into()]));
         }
-        let out = self.folder.join("prepare.json");
-        words.extend(["--json".into(), out.into_os_string()]);
         self.step(1, "prepare", words)
     }
 
@@ -191,7 +189,7 @@ impl Making<'_> {
     }
 
     fn train(&mut self, plan: &Plan) -> anyhow::Result<()> {
-        let mut words = words(["train".into(), self.capture()?.into_os_string()]);
+        let mut words = vec!["train".into(), self.capture()?.into_os_string()];
         words.extend(["--out".into(), self.folder.join("run").into_os_string()]);
         words.extend(plan.options().into_iter().map(Into::into));
         if !self.is_footage && !self.arguments.hold_out.is_empty() {
@@ -204,7 +202,7 @@ impl Making<'_> {
 
     fn compress(&mut self) -> anyhow::Result<()> {
         let arguments = self.arguments;
-        let mut words = words(["compress".into(), self.folder.join("run").into_os_string()]);
+        let mut words = vec!["compress".into(), self.folder.join("run").into_os_string()];
         words.extend(["--out".into(), self.scene.clone().into_os_string()]);
         if let Some(time) = arguments.time {
             // The page takes the last part.
@@ -213,16 +211,14 @@ impl Making<'_> {
             words.extend(["--refine".into(), format!("{secs:.0}s").into()]);
         }
         if let Some(sound) = self.sound()? {
-            words.extend(["--attach".into(), OsString::from("sound=")]);
-            if let Some(last) = words.last_mut() {
-                last.push(sound);
-            }
+            let mut attached = OsString::from("sound=");
+            attached.push(sound);
+            words.extend(["--attach".into(), attached]);
         }
         words.extend(arguments.backend.words());
         if self.record.has_begun("compress") || arguments.job.force {
             words.push("--force".into());
         }
-        words.extend(["--json".into(), self.folder.join("compress.json").into_os_string()]);
         self.step(3, "compress", words)
     }
 
@@ -230,9 +226,9 @@ impl Making<'_> {
     fn sound(&mut self) -> anyhow::Result<Option<PathBuf>> {
         let file = self.folder.join("sound.ogg");
         if !self.record.is_done("compress") && !file.exists() {
-            let taken = sound::take(&self.folder.join("capture"), &file)?;
-            say(&taken.line)?;
-            self.record.note("sound", &taken.line)?;
+            let line = sound::take(&self.folder.join("capture"), &file)?;
+            say(&line)?;
+            self.record.note("sound", &line)?;
         }
         Ok(Some(file).filter(|file| file.exists()))
     }
@@ -243,9 +239,7 @@ impl Making<'_> {
         let results =
             page::make(&self.folder, &self.capture()?, &self.scene, &self.record, plan, &self.arguments.backend)?;
         write_file(&file, results.html.as_bytes(), true)?;
-        for line in &results.lines {
-            say(line)?;
-        }
+        say(&results.line)?;
         say(&format!("open {}", file.display()))?;
         say(&format!("next: tcgs view {}", next::quoted(&self.scene)))?;
         let text = |path: &Path| path.display().to_string();
@@ -268,11 +262,10 @@ impl Making<'_> {
         let options =
             [("--seed", job.seed.map(|seed| seed.to_string())), ("--threads", job.threads.map(|n| n.to_string()))];
         words.extend(options.into_iter().filter_map(|(name, value)| Some([name.into(), value?.into()])).flatten());
-        let json = words.iter().position(|word| word == "--json");
-        // Results of an earlier call that was interrupted are replaced.
-        if let Some(path) = json.and_then(|at| words.get(at + 1)) {
-            let _ = std::fs::remove_file(path);
-        }
+        let json = self.folder.join(format!("{name}.json"));
+        // An interrupted call may have left it.
+        let _ = std::fs::remove_file(&json);
+        words.extend(["--json".into(), json.into_os_string()]);
         let shown: Vec<String> = words.iter().map(|word| next::word(&word.to_string_lossy())).collect();
         let line = format!("tcgs {}", shown.join(" "));
         say(&format!("{number}/{NUM_STEPS}  {line}"))?;
@@ -291,9 +284,4 @@ impl Making<'_> {
     fn elapsed(&self) -> Duration {
         self.begin.elapsed() + self.record.before()
     }
-}
-
-/// The words of a command.
-fn words<const N: usize>(first: [OsString; N]) -> Vec<OsString> {
-    first.into()
 }

@@ -5,20 +5,20 @@ use std::path::Path;
 use serde_json::Value;
 use tcgs_capture::{Capture, Split};
 use tcgs_core::{Camera, cameras_between, read_text};
-use tcgs_pipeline::{EvaluateSettings, Evaluation, ImageScore, OpenScene, OpenSettings, capture_for, evaluate};
+use tcgs_pipeline::{EvaluateSettings, Evaluation, OpenScene, OpenSettings, capture_for, evaluate};
 use tcgs_render::{DrawAny, RenderSettings};
-use tcgs_report::{Picture, Series, document, list, pictures, png, psnr_over_time, seconds, section, summary};
+use tcgs_report::{Picture, document, list, pictures, png, psnr_over_time, seconds, section, summary};
 
 use super::budget::Plan;
 use super::record::Record;
 use crate::backend::{BackendName, BackendOptions};
 use crate::next;
 use crate::output::show_bytes;
-use crate::pictures::side_by_side;
+use crate::pictures::{rgb, series, side_by_side, spread};
 use crate::prepare::expectation;
 use crate::teller::Teller;
 
-/// Timesteps whose pictures are shown, spread over the clip.
+/// Frames whose pictures are shown, spread over the clip.
 const SHOWN: usize = 3;
 /// Pictures from between the cameras.
 const BETWEEN: usize = 4;
@@ -31,7 +31,7 @@ const MAX_JSON: u64 = 64 << 20;
 pub struct Results {
     pub html: String,
     /// The figures in words.
-    pub lines: Vec<String>,
+    pub line: String,
     pub bytes: u64,
     /// Mean PSNR over the measured images, dB.
     pub psnr: f64,
@@ -60,11 +60,11 @@ pub fn make(
     let [psnr, ssim] = [mean(evaluation.mean(|i| Some(i.psnr))), mean(evaluation.mean(|i| Some(i.ssim)))];
     let of = if held_out { "cameras that training never saw" } else { "cameras that were trained on, which flatters" };
     let size = show_bytes(scene.bytes);
-    let lines = vec![format!(
+    let line = format!(
         "{}: {size}, {} frames, PSNR {psnr:.2} dB and SSIM {ssim:.3} over {of}",
         file.display(),
         scene.num_timesteps()
-    )];
+    );
 
     let prepared = prepared(folder);
     let uncertain = uncertain(&prepared, record, held_out);
@@ -74,9 +74,8 @@ pub fn make(
             "a second of the clip",
             show_bytes((scene.bytes as f64 * scene.frame_rate / scene.num_timesteps() as f64) as u64),
         ),
-        ("PSNR", format!("{psnr:.2} dB")),
+        (if held_out { "PSNR, held-out cameras" } else { "PSNR, trained cameras" }, format!("{psnr:.2} dB")),
         ("SSIM", format!("{ssim:.3}")),
-        ("measured with", of.into()),
         ("frames", format!("{} at {:.1} a second", scene.num_timesteps(), scene.frame_rate)),
         ("pixels of an image", format!("{}x{}", plan.size[0], plan.size[1])),
     ];
@@ -88,14 +87,14 @@ pub fn make(
     let note = "Renders from half way between the cameras, where there is no photograph to compare with.";
     section(&mut body, "Between the cameras", note, &pictures(&between(&scene, &capture, plan.downscale, &*renderer)?));
     section(&mut body, "What to expect", "", &list(uncertain.iter().map(String::as_str)));
-    section(&mut body, "Quality over time", "", &psnr_over_time(&[series(&evaluation)]));
+    section(&mut body, "Quality over time", "", &psnr_over_time(&[series("scene", &evaluation, |i| Some(i.psnr))]));
     let took: Vec<(String, f64)> =
         record.steps().iter().filter_map(|step| Some((step.name.clone(), step.seconds?))).collect();
     section(&mut body, "Time", "", &seconds(&took));
     let commands: Vec<&str> = record.steps().iter().map(|step| step.command.as_str()).collect();
     section(&mut body, "Commands", "Each step is a command that can be repeated with other options.", &list(commands));
     let name = file.file_stem().unwrap_or_default().to_string_lossy();
-    Ok(Results { html: document(&name, &body), lines, bytes: scene.bytes, psnr, held_out })
+    Ok(Results { html: document(&name, &body), line, bytes: scene.bytes, psnr, held_out })
 }
 
 /// The quality of some frames.
@@ -120,12 +119,6 @@ fn measure(
     all.ok_or_else(|| anyhow::anyhow!("{}: no frames", scene.path.display()))
 }
 
-fn series(evaluation: &Evaluation) -> Series {
-    let timesteps = evaluation.images.iter().map(|image| image.timestep + 1).max().unwrap_or(0);
-    let at = |t| ImageScore::mean(evaluation.images.iter().filter(|image| image.timestep == t), |i| Some(i.psnr));
-    Series { name: "scene".into(), values: (0..timesteps).map(|t| at(t).unwrap_or(f64::NAN)).collect() }
-}
-
 /// Photographs beside renders, at some frames of one camera after another.
 fn pairs(
     scene: &OpenScene,
@@ -135,7 +128,7 @@ fn pairs(
     renderer: &DrawAny,
 ) -> anyhow::Result<Vec<Picture>> {
     let mut shown = Vec::new();
-    for (i, frame) in spread(scene, SHOWN).into_iter().enumerate() {
+    for (i, frame) in spread(&scene.frames(), SHOWN).into_iter().enumerate() {
         let views = capture.views(split, frame, downscale)?;
         let names = capture.camera_names(split, frame)?;
         let at = i * views.len() / SHOWN;
@@ -150,7 +143,7 @@ fn pairs(
 
 /// Renders from between the training cameras, at the middle of the clip.
 fn between(scene: &OpenScene, capture: &Capture, downscale: usize, renderer: &DrawAny) -> anyhow::Result<Vec<Picture>> {
-    let frame = spread(scene, SHOWN)[SHOWN / 2];
+    let frame = spread(&scene.frames(), SHOWN)[SHOWN / 2];
     let cameras: Vec<Camera> =
         capture.cameras(Split::Train, frame, downscale)?.into_iter().map(|(_, camera)| camera).collect();
     let drawn = scene.drawn(frame - scene.first_frame)?;
@@ -158,18 +151,9 @@ fn between(scene: &OpenScene, capture: &Capture, downscale: usize, renderer: &Dr
     let between = cameras_between(&cameras, 0..cameras.len()).into_iter().step_by(step);
     let picture = |camera: Camera| {
         let (output, _) = renderer.draw(&drawn.seen_by(&camera), &camera, &RenderSettings::default())?;
-        let (width, height) = (camera.width as u32, camera.height as u32);
-        let image = image::RgbImage::from_raw(width, height, output.image.to_rgb8()).unwrap_or_default();
-        Ok(Picture { caption: format!("Between the cameras, frame {frame}"), png: png(&image)? })
+        Ok(Picture { caption: format!("Between the cameras, frame {frame}"), png: png(&rgb(&output.image))? })
     };
     between.map(picture).collect()
-}
-
-/// Frames spread over the clip, the first and the last among them.
-fn spread(scene: &OpenScene, count: usize) -> Vec<usize> {
-    let frames = scene.frames();
-    let last = frames.len().saturating_sub(1);
-    (0..count).map(|i| frames.start + i * last / (count - 1).max(1)).collect()
 }
 
 /// The record of `tcgs prepare`; null if it was not needed.

@@ -21,7 +21,8 @@ const FILE: &str = "make.json";
 /// Largest record that is read, bytes.
 const MAX_BYTES: u64 = 1 << 20;
 /// Entries of the folder that a call writes, the record last.
-const OURS: [&str; 8] = ["capture", "run", "speed", "sound.ogg", "prepare.json", "compress.json", "report.html", FILE];
+const OURS: [&str; 9] =
+    ["capture", "run", "speed", "sound.ogg", "prepare.json", "train.json", "compress.json", "report.html", FILE];
 
 #[derive(Debug, Default, Deserialize, Serialize)]
 struct Stored {

@@ -5,6 +5,8 @@ use std::process::{Command, Stdio};
 
 use tcgs_capture::{CaptureDescription, DESCRIPTION_FILE, DescribedCamera, audio};
 
+use crate::output::write_file;
+
 /// Samples per second by which cameras are compared.
 const RATE: u32 = 8000;
 /// Longest sound that is compared, seconds.
@@ -17,15 +19,12 @@ const SILENCE: f32 = 1e-8;
 const OVERDRIVEN: (f32, f32) = (0.99, 0.001);
 const BITRATE: &str = "96k";
 
-/// The result of [`take`] in words.
-pub struct Taken {
-    pub line: String,
-}
-
 /// Writes the sound of the camera with the best signal as Ogg Opus. Without sound or `ffmpeg` no file is written, and
 /// the line says so.
-pub fn take(capture: &Path, out: &Path) -> anyhow::Result<Taken> {
-    let line = |text: String| Ok(Taken { line: format!("sound: {text}") });
+///
+/// - returns: the result in words
+pub fn take(capture: &Path, out: &Path) -> anyhow::Result<String> {
+    let line = |text: String| Ok(format!("sound: {text}"));
     let file = capture.join(DESCRIPTION_FILE);
     if !file.exists() {
         return line("none, since the capture is not of videos".into());
@@ -36,13 +35,12 @@ pub fn take(capture: &Path, out: &Path) -> anyhow::Result<Taken> {
     let Some((camera, _)) = heard.max_by(|(_, a), (_, b)| a.total_cmp(b)) else {
         return line("none: no video has any, or ffmpeg is not installed".into());
     };
-    let encoded = encode(&capture.join(&camera.file), camera.start_secs, secs, out);
-    match encoded {
-        Ok(()) => line(format!("that of {}, {secs:.1} s", camera.name)),
-        Err(problem) => {
-            let _ = std::fs::remove_file(out);
-            line(format!("none: ffmpeg: {problem}"))
+    match encode(&capture.join(&camera.file), camera.start_secs, secs) {
+        Ok(sound) => {
+            write_file(out, &sound, false)?;
+            line(format!("that of {}, {secs:.1} s", camera.name))
         }
+        Err(problem) => line(format!("none: ffmpeg: {problem}")),
     }
 }
 
@@ -71,20 +69,20 @@ fn clarity_of(samples: &[f32]) -> Option<f32> {
     Some((at(0.95) / at(0.05)).ln() - penalty)
 }
 
-fn encode(video: &Path, begin: f64, secs: f64, out: &Path) -> Result<(), String> {
+/// The bytes of an Ogg Opus file.
+fn encode(video: &Path, begin: f64, secs: f64) -> Result<Vec<u8>, String> {
     let cut = format!("aresample=48000:async=1:first_pts=0,atrim=start={begin}:duration={secs},asetpts=PTS-STARTPTS");
     let output = Command::new("ffmpeg")
-        .args(["-v", "error", "-nostdin", "-y", "-i"])
+        .args(["-v", "error", "-nostdin", "-i"])
         .arg(std::path::absolute(video).map_err(|error| error.to_string())?)
         .args(["-map", "0:a:0", "-vn", "-map_metadata", "-1", "-af", &cut, "-c:a", "libopus", "-b:a", BITRATE])
-        .args(["-f", "ogg"])
-        .arg(std::path::absolute(out).map_err(|error| error.to_string())?)
+        .args(["-f", "ogg", "pipe:1"])
         .stdin(Stdio::null())
         .output()
         .map_err(|error| error.to_string())?;
     let said = String::from_utf8_lossy(&output.stderr);
     let problem = || said.lines().last().unwrap_or("failed").to_owned();
-    if output.status.success() { Ok(()) } else { Err(problem()) }
+    if output.status.success() { Ok(output.stdout) } else { Err(problem()) }
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use crate::PipelineError;
 
 /// Frames of an export with one row for each Gaussian. Outside its life a Gaussian has opacity 0, and is where it was
 /// first or last. If the scene does not identify its Gaussians, each timestep has those that live.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Identified<'a> {
     export: &'a Export<'a>,
     frames: Range<usize>,
@@ -25,17 +25,15 @@ pub struct Identified<'a> {
 
 impl<'a> Identified<'a> {
     pub(super) fn new(export: &'a Export<'a>, frames: Range<usize>) -> Result<Self, PipelineError> {
-        let none = || Gaussians::zeros_of(export.scene.layout(), 0);
-        let mut identified = Self { export, frames, identities: None, born: none(), held: none() };
-        let mut all = BTreeSet::new();
-        let mut changes = false;
+        let none = Gaussians::zeros_of(export.scene.layout(), 0);
+        let mut identified = Self { export, frames, identities: None, born: none.clone(), held: none };
+        let (mut all, mut counts) = (BTreeSet::new(), Vec::new());
         for frame in identified.frames.clone() {
             let Some(living) = export.identities(frame)? else { return Ok(identified) };
-            let before = all.len();
-            all.extend(&living);
-            changes |= all.len() != living.len() || before != all.len() && frame != identified.frames.start;
+            counts.push(living.len());
+            all.extend(living);
         }
-        if changes {
+        if counts.iter().any(|&count| count != all.len()) {
             let all: Vec<usize> = all.into_iter().collect();
             identified.born = identified.newborn(&all)?;
             identified.identities = Some(all);
@@ -84,12 +82,12 @@ impl SceneReader for Identified<'_> {
         self.identities.as_ref().map_or_else(of_scene, Vec::len)
     }
 
-    /// Timesteps are read in order: after its death a Gaussian keeps the place that it had last.
+    /// Timesteps are read in order, from 0: after its death a Gaussian keeps the place that it had last.
     fn at(&mut self, timestep: usize) -> Result<Gaussians, PipelineError> {
         let frame = self.frames.start + timestep;
         let gaussians = self.export.gaussians(frame)?;
         let Some(all) = &self.identities else { return Ok(gaussians) };
-        if timestep == 0 || self.held.num_gaussians() == 0 {
+        if timestep == 0 {
             self.held = self.born.clone();
         }
         self.held.logit_opacities_mut().fill(f32::NEG_INFINITY);

@@ -343,13 +343,12 @@ impl<'a> Export<'a> {
     ///
     /// # Errors
     /// As [`Self::timestep`].
-    pub fn usda(&self, frames: Range<usize>) -> Result<impl Fn(&File) -> io::Result<()>, PipelineError> {
+    pub fn usda(&self, frames: Range<usize>) -> Result<impl FnOnce(&File) -> io::Result<()>, PipelineError> {
         self.check_columns("a USD file")?;
         let frames = self.scene.choose_frames(Some(&frames))?;
         let (first, frame_rate) = (frames.start, self.frame_rate());
-        let scene = Identified::new(self, frames)?;
+        let mut scene = Identified::new(self, frames)?;
         Ok(move |file: &File| {
-            let mut scene = scene.clone();
             let mut writer = BufWriter::new(file);
             write_usda_to(&mut writer, &mut scene, first, frame_rate)?;
             writer.flush()
