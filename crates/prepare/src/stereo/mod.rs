@@ -7,6 +7,7 @@
 //! - *fuse* keeps the points on which several views agree.
 //! - *fill* interpolates depth across surfaces without texture.
 //! - *shell* gives the remaining rays of background an end.
+//! - *holes* closes the shell where no training image shows anything.
 //! - *thin* reduces the points to the wanted number.
 //!
 //! What does not: reading images ([`Capture`]), and training from the points.
@@ -16,6 +17,7 @@
 
 mod fill;
 mod fuse;
+mod holes;
 pub(crate) mod hull;
 mod patchmatch;
 mod shell;
@@ -193,6 +195,8 @@ struct Stereo {
     hull: Hull,
     /// Centres of the hull's outer cubes.
     hull_surface: Vec<[f32; 3]>,
+    /// Cameras between those of the views.
+    between: Vec<Pinhole<f32>>,
 }
 
 /// The depths and points on which views agree.
@@ -219,6 +223,7 @@ impl Stereo {
             witnesses: Vec::new(),
             hull: Hull::default(),
             hull_surface: Vec::new(),
+            between: holes::between(views, factors[factors.len() - 1]),
         };
         report("carving the visual hull");
         let silhouettes: Vec<Silhouette> = stereo
@@ -336,12 +341,17 @@ impl Stereo {
         let foreground = [visible(foreground), visible(self.hull_points())];
         let shell = Shell::fit(&self.vantages, &background.iter().map(|p| p.position).collect::<Vec<_>>());
         let background = [visible(background), visible(self.filled(&fused.sure))];
-        let ended = visible(self.ended(&[&foreground[..], &background].concat(), &shell));
+        let mut all = [&foreground[..], &background].concat();
+        all.push(visible(self.ended(&all, &shell)));
+        let between = visible(holes::between_ends(&self.between, &all, &shell));
+        let outside = holes::outside_ends(&self.vantages, &shell, num_points);
+        let holes = holes::colored(between, outside, &all[2..], num_points);
 
         let wanted = if foreground.iter().all(Vec::is_empty) { 0.0 } else { FOREGROUND_SHARE };
         let foreground = thin::thin(&foreground, (wanted * num_points as f64) as usize);
-        let [sure, filled] = background;
-        let background = thin::thin(&[sure, filled, ended], num_points.saturating_sub(foreground.len()));
+        let rest = num_points.saturating_sub(foreground.len() + holes.len());
+        let mut background = thin::thin(&all[2..], rest);
+        background.extend(holes.into_iter().map(|point| (2, point)));
 
         let masks = self.vantages.iter().any(|v| v.mask.is_some());
         let mut prepared = Prepared { agreement: fused.agreement, ..Prepared::default() };
@@ -389,15 +399,7 @@ impl Stereo {
     fn ended(&self, points: &[Vec<Point>], shell: &Shell) -> Vec<Point> {
         let of = |vantage: &Vantage| {
             let pinhole = &vantage.pinhole;
-            let across = pinhole.width.div_ceil(BLOCK_PX);
-            let block = |pixel: usize| pixel / pinhole.width / BLOCK_PX * across + pixel % pinhole.width / BLOCK_PX;
-            let mut met = vec![false; across * pinhole.height.div_ceil(BLOCK_PX)];
-            for point in points.iter().flatten() {
-                if let Some((pixel, _)) = pinhole.pixel(point.position) {
-                    met[block(pixel)] = true;
-                }
-            }
-            let free = (0..vantage.gray.len()).filter(|&pixel| !met[block(pixel)] && !vantage.is_foreground(pixel));
+            let free = unmet(pinhole, points).into_iter().filter(|&pixel| !vantage.is_foreground(pixel));
             let end = |pixel: usize| {
                 let place = pinhole.pixel_center(pixel);
                 let depth = shell.depth(pinhole.center, pinhole.ray(place))?;
@@ -430,6 +432,19 @@ impl Stereo {
         };
         self.hull_surface.par_iter().filter_map(point).collect()
     }
+}
+
+/// Pixels of a camera that no point falls near: none into the pixel's block.
+fn unmet(pinhole: &Pinhole<f32>, points: &[Vec<Point>]) -> Vec<usize> {
+    let across = pinhole.width.div_ceil(BLOCK_PX);
+    let block = |pixel: usize| pixel / pinhole.width / BLOCK_PX * across + pixel % pinhole.width / BLOCK_PX;
+    let mut met = vec![false; across * pinhole.height.div_ceil(BLOCK_PX)];
+    for point in points.iter().flatten() {
+        if let Some((pixel, _)) = pinhole.pixel(point.position) {
+            met[block(pixel)] = true;
+        }
+    }
+    (0..pinhole.width * pinhole.height).filter(|&pixel| !met[block(pixel)]).collect()
 }
 
 /// Median, channel by channel; black without colours.

@@ -1,4 +1,5 @@
 use tcgs_capture::{SyntheticSettings, distance_from_surface, write_synthetic};
+use tcgs_core::{dot, normalize};
 
 use super::*;
 
@@ -44,10 +45,47 @@ fn points_lie_on_the_true_surfaces() {
     check(&prepared, true, Origin::Hull, 100, [(0.5, 0.03), (0.9, 0.06)]);
     check(&prepared, false, Origin::Triangulated, 3000, [(0.5, 0.015), (0.9, 0.1)]);
     check(&prepared, false, Origin::Filled, 300, [(0.5, 0.16), (0.9, 0.45)]);
-    check(&prepared, false, Origin::Shell, 100, [(0.5, 0.25), (0.9, 0.6)]);
+    check(&in_images(&prepared, &capture), false, Origin::Shell, 100, [(0.5, 0.25), (0.9, 0.6)]);
     assert!(!are_far_apart(&capture.views(Split::Train, 0, 1).unwrap()));
     assert!((6000..=8000).contains(&prepared.cloud.points.len()), "{}", prepared.cloud.points.len());
     assert!((0.2..1.0).contains(&prepared.agreement), "{}", prepared.agreement);
+}
+
+/// The points that some training image holds.
+fn in_images(prepared: &Prepared, capture: &Capture) -> Prepared {
+    let views = capture.views(Split::Train, 0, 1).unwrap();
+    let vantages: Vec<Vantage> = views.iter().map(|view| Vantage::new(view, 1)).collect();
+    let cloud = &prepared.cloud;
+    let is_in = |&i: &usize| vantages.iter().any(|vantage| vantage.pinhole.pixel(cloud.points[i]).is_some());
+    let mut kept = Prepared { agreement: prepared.agreement, ..Prepared::default() };
+    for i in (0..cloud.points.len()).filter(is_in) {
+        kept.cloud.points.push(cloud.points[i]);
+        kept.cloud.colors.push(cloud.colors[i]);
+        kept.cloud.foreground.push(cloud.foreground[i]);
+        kept.origins.push(prepared.origins[i]);
+    }
+    kept
+}
+
+#[test]
+fn the_shell_is_closed_in_all_directions() {
+    let settings = SyntheticSettings { num_train_cameras: 4, num_test_cameras: 0, ..SyntheticSettings::default() };
+    let (_folder, capture) = synthetic(&settings);
+    let prepared = prepared(&capture, &StereoSettings { num_points: 8000, ..StereoSettings::default() });
+    let cloud = &prepared.cloud;
+    let num_outside = cloud.points.len() - in_images(&prepared, &capture).cloud.points.len();
+    assert!((20..=80).contains(&num_outside), "{num_outside} of 80 directions are outside of all images");
+    let cameras = capture.cameras(Split::Train, 0, 1).unwrap();
+    let middle =
+        [0, 1, 2].map(|c| cameras.iter().map(|(_, camera)| camera.center()[c]).sum::<f64>() / cameras.len() as f64);
+    let rays: Vec<[f64; 3]> =
+        cloud.points.iter().map(|point| normalize(std::array::from_fn(|c| f64::from(point[c]) - middle[c]))).collect();
+    for direction in [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]] {
+        let nearest = rays.iter().map(|ray| dot(*ray, direction)).fold(-1.0, f64::max);
+        assert!(nearest > 0.9, "{direction:?}: {} degrees to the nearest point", nearest.acos().to_degrees());
+    }
+    // Colours of walls, not black.
+    assert!(cloud.colors.iter().all(|color| color.iter().sum::<f32>() > 0.1));
 }
 
 #[test]

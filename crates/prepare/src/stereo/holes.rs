@@ -1,0 +1,85 @@
+//! Closes what no training image shows, by the shell in the colours around: holes that cameras between the training
+//! cameras see, and all directions outside of the images.
+
+use tcgs_core::{Camera, Pinhole, View, cameras_between, squared_distance};
+
+use super::{BLOCK_PX, fuse::Point, median, shell::Shell, thin, unmet, vantage::Vantage};
+
+/// Cameras between the training cameras.
+const NUM_BETWEEN: usize = 64;
+/// One point in so many, at most, lies in a hole. These points stand for what is unknown, so they are few and large.
+const POINTS_PER_HOLE: usize = 40;
+/// The shell is closed in one direction for so many points: with 80,000 points every seven degrees.
+const POINTS_PER_DIRECTION: usize = 100;
+/// Number of points that lend their colours.
+const NUM_SAMPLES: usize = 2000;
+/// Number of the nearest among them whose median colour is taken.
+const NUM_NEAREST: usize = 8;
+
+/// Cameras between those of the training views, with images downscaled by a whole factor.
+pub(super) fn between(views: &[View], factor: usize) -> Vec<Pinhole<f32>> {
+    let cameras: Vec<Camera> = views.iter().map(|view| view.camera.clone()).collect();
+    cameras_between(&cameras, 0..NUM_BETWEEN).iter().map(|camera| Pinhole::new(&camera.downscaled(factor))).collect()
+}
+
+/// The ends of rays of cameras that meet no point, one for each block of pixels.
+///
+/// - `points`: all points so far
+pub(super) fn between_ends(cameras: &[Pinhole<f32>], points: &[Vec<Point>], shell: &Shell) -> Vec<Point> {
+    let of = |camera: &Pinhole<f32>| -> Vec<Point> {
+        let middle = |&pixel: &usize| {
+            [pixel % camera.width, pixel / camera.width].iter().all(|at| at % BLOCK_PX == BLOCK_PX / 2)
+        };
+        let end = |pixel: usize| {
+            let place = camera.pixel_center(pixel);
+            let depth = shell.depth(camera.center, camera.ray(place))?;
+            Some(Point { position: camera.unproject(place, depth), color: [0.0; 3], foreground: false })
+        };
+        unmet(camera, points).into_iter().filter(middle).filter_map(end).collect()
+    };
+    cameras.iter().flat_map(of).collect()
+}
+
+/// Points of the shell outside of all images, in directions from the middle of the cameras that are spread evenly.
+///
+/// - `num_points`: of the whole cloud
+pub(super) fn outside_ends(vantages: &[Vantage], shell: &Shell, num_points: usize) -> Vec<Point> {
+    let num_directions = num_points / POINTS_PER_DIRECTION;
+    let sum = vantages.iter().fold([0.0; 3], |sum: [f32; 3], v| std::array::from_fn(|c| sum[c] + v.pinhole.center[c]));
+    let middle = sum.map(|x| x / vantages.len() as f32);
+    let end = |i: usize| {
+        // A spiral whose turns are golden angles.
+        let z = 1.0 - (2 * i + 1) as f32 / num_directions as f32;
+        let (sin, cos) = (i as f32 * std::f32::consts::PI * (3.0 - 5.0_f32.sqrt())).sin_cos();
+        let across = (1.0 - z * z).sqrt();
+        let ray = [across * cos, across * sin, z];
+        let depth = shell.depth(middle, ray)?;
+        let position = std::array::from_fn(|c| middle[c] + depth * ray[c]);
+        let is_outside = vantages.iter().all(|vantage| vantage.pinhole.pixel(position).is_none());
+        is_outside.then_some(Point { position, color: [0.0; 3], foreground: false })
+    };
+    (0..num_directions).filter_map(end).collect()
+}
+
+/// The points of the shell that close it, in the colours of the background that is nearest to each.
+///
+/// - `between`, `outside`: of [`between_ends`], of which some are taken, and of [`outside_ends`]
+/// - `num_points`: of the whole cloud
+pub(super) fn colored(
+    between: Vec<Point>,
+    outside: Vec<Point>,
+    background: &[Vec<Point>],
+    num_points: usize,
+) -> Vec<Point> {
+    let count = background.iter().map(Vec::len).sum::<usize>();
+    let samples: Vec<&Point> = background.iter().flatten().step_by(count.div_ceil(NUM_SAMPLES).max(1)).collect();
+    let colored = |point: Point| {
+        let mut near: Vec<(f32, [f32; 3])> =
+            samples.iter().map(|other| (squared_distance(point.position, other.position), other.color)).collect();
+        near.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let colors: Vec<[f32; 3]> = near.iter().take(NUM_NEAREST).map(|&(_, color)| color).collect();
+        Point { color: median(&colors), ..point }
+    };
+    let between = thin::thin(&[between], num_points / POINTS_PER_HOLE).into_iter().map(|(_, point)| point);
+    between.chain(outside).map(colored).collect()
+}
