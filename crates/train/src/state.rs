@@ -145,6 +145,9 @@ pub struct State {
     pub statistic: GradientStatistic,
     /// Index of the current timestep, counted from the run's first.
     pub timestep: usize,
+    /// Number of Gaussians, the last ones, that are drawn but not trained: in the first timestep those that stand in no
+    /// training image, of which only the edges show.
+    pub num_fixed: usize,
 }
 
 impl State {
@@ -159,19 +162,29 @@ impl State {
             quantizers: None,
             past: None,
             timestep: 0,
+            num_fixed: 0,
         }
     }
 
-    /// Records the first timestep as the past, if it is the previous one. No motion is known yet.
+    /// Number of Gaussians that are trained, the first ones.
+    pub(crate) fn num_trained(&self) -> usize {
+        self.parameters.num_gaussians() - self.num_fixed
+    }
+
+    /// Records the first timestep as the past, if it is the previous one. No motion is known yet. Every Gaussian may be
+    /// trained from then on.
     pub(crate) fn begin_past(&mut self) {
         let p = &self.parameters;
+        self.num_fixed = 0;
         self.past.get_or_insert_with(|| Past::new(Pose::of(&p.gaussians), p.gaussians.clone(), &p.foreground));
     }
 
     /// Replaces the Gaussians by `rows` of them, with all data of each: values, identity, moments, bit widths, its past
-    /// and its share of the statistic.
+    /// and its share of the statistic. Those that are not trained stay the last.
     pub fn gather(&mut self, rows: &[Row]) {
         let indices: Vec<usize> = rows.iter().map(|row| row.source()).collect();
+        let num_trained = self.num_trained();
+        self.num_fixed = indices.iter().rev().take_while(|&&i| i >= num_trained).count();
         self.parameters = self.parameters.select(&indices);
         self.lifetimes.gather(rows, self.timestep as u32);
         self.optimizer.gather(rows);

@@ -29,7 +29,7 @@ const RATE: Bounds = Number(0.0, 1e38);
 const WEIGHT: Bounds = Number(0.0, FACTOR);
 
 /// Every setting by its dotted name, in the order of `config.toml`.
-const BOUNDS: [(&str, Bounds); 73] = [
+const BOUNDS: [(&str, Bounds); 72] = [
     ("preset", Any),
     ("seed", Any),
     ("data.capture", Any),
@@ -76,7 +76,6 @@ const BOUNDS: [(&str, Bounds); 73] = [
     ("densify.prune_opacity_end", SHARE),
     ("densify.reset", Whole(0, ITERATIONS)),
     ("densify.prune_large", Whole(0, ITERATIONS)),
-    ("densify.unseen_share", SHARE),
     ("densify.prune_error", Number(0.0, FACTOR)),
     ("mask.enabled", Any),
     // A mask of 1 is never reached.

@@ -105,9 +105,6 @@ pub struct DensifyConfig {
     pub reset: usize,
     /// From this iteration on too large Gaussians are removed; 0: they are not. Reference 3000; default 0.
     pub prune_large: usize,
-    /// Initial points that are in no training image are gathered into fewer: at most this share of the other points, and at
-    /// least a thousand. 0: they are taken as they are. Default 0 (reference).
-    pub unseen_share: f32,
     /// Removes Gaussians that the training images hardly need, three times between the last event and the start of
     /// quantisation. Each time the mean squared error of these images may grow by this share; later iterations take most
     /// of it back. In a schedule of fewer than 1000 iterations the share is smaller in proportion. 0: none are removed.

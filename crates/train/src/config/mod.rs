@@ -167,7 +167,6 @@ impl TrainConfig {
                 prune_opacity_end: 0.25,
                 reset: 3000,
                 prune_large: 3000,
-                unseen_share: 0.0,
                 prune_error: 0.0,
             },
             mask: MaskConfig { enabled: true, threshold: 0.01, initial_logit: 1.0, reset: false, prune_end: 10_000 },
@@ -376,7 +375,7 @@ mod tests {
         assert_eq!((q.mean_bits, q.bit_map, q.learned_offset), (5.0, BitMapKind::Linear, false));
         assert_eq!((d.start, d.interval, d.reset, d.prune_large), (500, 100, 3000, 3000));
         assert_eq!((d.gradient_threshold, d.prune_opacity_end), (2e-4, 0.25));
-        assert_eq!((d.prune_error, d.unseen_share), (0.0, 0.0));
+        assert_eq!(d.prune_error, 0.0);
         let r = &paper.rates;
         assert_eq!((r.step, r.mask, r.color_rest, r.motion_decay), (0.02, 0.01, r.color, 1.0));
         assert_eq!((r.first_decay, r.first_scale, r.reset_steps, r.camera_centered), (1.0, 1.0, false, false));

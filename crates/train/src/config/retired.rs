@@ -10,7 +10,7 @@ use toml::Value::{Boolean, Float, Integer};
 use super::{ConfigError, bounds};
 
 /// Every retired setting by its dotted name, with the only value that it may have.
-static RETIRED: [(&str, Value); 16] = [
+static RETIRED: [(&str, Value); 17] = [
     ("densify.end", Integer(5000)),
     ("densify.clone_scale", Float(0.01)),
     ("densify.split_children", Integer(2)),
@@ -19,7 +19,8 @@ static RETIRED: [(&str, Value); 16] = [
     ("densify.prune_scale", Float(0.1)),
     ("densify.reset_opacity", Float(0.01)),
     ("mask.prune_interval", Integer(1000)),
-    // The method that `true` switched on is gone.
+    // The methods that other values switched on are gone.
+    ("densify.unseen_share", Float(0.0)),
     ("mask.relative", Boolean(false)),
     ("quantize.position_bits", Integer(16)),
     ("gate.noise", Float(6.0)),
@@ -98,6 +99,6 @@ mod tests {
         for (key, constant) in constants {
             assert!(is_retired(key, &Float(constant.into())).unwrap(), "{key}");
         }
-        assert_eq!(constants.len() + 1, RETIRED.len());
+        assert_eq!(constants.len() + 2, RETIRED.len());
     }
 }

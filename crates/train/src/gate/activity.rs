@@ -178,7 +178,7 @@ impl Activity {
         let stillness: Vec<f32> = rows.iter().map(|&i| self.stillness[i]).collect();
         let past = state.past.as_ref().map(|past| Past { stillness, ..past.select(&rows, |_| neighbors(past)) });
         let statistic = GradientStatistic::new(rows.len());
-        State { parameters, lifetimes, optimizer, quantizers, past, statistic, timestep: state.timestep }
+        State { parameters, lifetimes, optimizer, quantizers, past, statistic, timestep: state.timestep, num_fixed: 0 }
     }
 
     /// The edges that start or end at an active Gaussian. An edge between two held Gaussians is replaced by one of

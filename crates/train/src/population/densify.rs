@@ -59,9 +59,9 @@ pub fn densify(state: &mut State, step: &DensifyStep<'_>) -> Densified {
     let c = step.config;
     let statistic = &state.statistic;
     let gradient = |i: usize| if statistic.count[i] > 0 { statistic.sum[i] / statistic.count[i] as f32 } else { 0.0 };
-    let n = state.parameters.num_gaussians();
+    let (n, num_trained) = (state.parameters.num_gaussians(), state.num_trained());
     let scales: Vec<f32> = state.parameters.gaussians.log_scales().iter().map(|&s| largest_scale(s)).collect();
-    let steep: Vec<usize> = (0..n).filter(|&i| gradient(i) >= c.gradient_threshold).collect();
+    let steep: Vec<usize> = (0..num_trained).filter(|&i| gradient(i) >= c.gradient_threshold).collect();
     let (cloned, split): (Vec<usize>, Vec<usize>) =
         steep.into_iter().partition(|&i| scales[i] <= CLONE_SCALE * step.scene_radius);
 
@@ -70,17 +70,19 @@ pub fn densify(state: &mut State, step: &DensifyStep<'_>) -> Densified {
     for &i in &split {
         is_parent[i] = true;
     }
-    let mut rows: Vec<Row> = (0..n).filter(|&i| !is_parent[i]).map(Row::Kept).collect();
+    let mut rows: Vec<Row> = (0..num_trained).filter(|&i| !is_parent[i]).map(Row::Kept).collect();
     rows.extend(cloned.iter().map(|&parent| Row::New { parent }));
     let first_child = rows.len();
     for _ in 0..SPLIT_CHILDREN {
         rows.extend(split.iter().map(|&parent| Row::New { parent }));
     }
+    let end = rows.len();
+    rows.extend((num_trained..n).map(Row::Kept));
     state.gather(&rows);
 
     let gaussians = &mut state.parameters.gaussians;
     let mut random = Pcg64Mcg::seed_from_u64(step.seed);
-    for i in first_child..rows.len() {
+    for i in first_child..end {
         let quat = gaussians.quats()[i];
         // Quantised rotations already have unit length; normalising them again would change their last bits.
         let rotmat = rotmat_from_unit_quat(if state.quantizers.is_some() { quat } else { normalize(quat) });

@@ -2,7 +2,7 @@
 //!
 //! Constants count iterations of the reference's schedule and scale with the run's ([`Schedule::scaled`]).
 
-use tcgs_core::View;
+use tcgs_core::{Gaussians, Pinhole, View, distance};
 
 use super::densify::{DensifyStep, densify, remove_others, reset_opacities};
 use super::removal::{Needed, Removal, TimestepViews, needed};
@@ -27,12 +27,16 @@ const RECOVERY: f32 = 1000.0;
 /// Largest share of the Gaussians that one removal by error takes. The others need iterations to take over.
 const MOST_REMOVED: f32 = 0.4;
 
-/// Least opacity, as its logit, of what only cameras between the training cameras show. A wall of points at the initial
-/// opacity of 0.5 shows what lies behind it.
+/// Least opacity, as its logit, of what only cameras between the training cameras show, and of what stands in no image.
+/// A wall of points at the initial opacity of 0.5 shows what lies behind it.
 const OPAQUE: f32 = 3.0;
 
-/// Growth of the scales of such Gaussians at each removal, as its logarithm, until they close the gaps between them.
+/// Growth of the scales of the former at each removal, as its logarithm, until they close the gaps between them. The latter
+/// may stand right before other cameras, which they would veil.
 const GROWTH: f32 = 0.3;
+
+/// Largest scale of a Gaussian, as a share of its distance from the nearest camera. What is larger veils whole pictures.
+const LARGEST: f32 = 0.2;
 
 /// The rules of the first timestep.
 #[derive(Clone, Debug)]
@@ -60,6 +64,7 @@ impl FirstTimestep {
             || self.resets_opacities(iteration)
             || self.prunes_masked(iteration)
             || self.prunes_unneeded(iteration)
+            || self.bounds_scales(iteration)
     }
 
     /// Densifies, resets and removes after an iteration.
@@ -98,12 +103,18 @@ impl FirstTimestep {
             };
             let removal = Removal { share: self.prune_error(), most: MOST_REMOVED, costs: None, seed };
             let Needed { rows, between } = needed(&[timestep], &removal);
+            let num_trained = state.num_trained();
+            let fixed = num_trained..state.parameters.num_gaussians();
             let v = state.parameters.gaussians.views_mut();
-            for i in between {
+            for i in between.into_iter().filter(|&i| i < num_trained).chain(fixed) {
                 v.logit_opacities[i] = v.logit_opacities[i].max(OPAQUE);
-                v.log_scales[i].iter_mut().for_each(|log_scale| *log_scale += GROWTH);
+                let growth = if i < num_trained { GROWTH } else { 0.0 };
+                v.log_scales[i].iter_mut().for_each(|log_scale| *log_scale += growth);
             }
             remove_others(state, &rows);
+        }
+        if self.bounds_scales(iteration) || self.prunes_unneeded(iteration) {
+            bound_scales(&mut state.parameters.gaussians, views);
         }
         // Identities matter only once the first timestep is finished.
         state.number_anew();
@@ -143,6 +154,12 @@ impl FirstTimestep {
         d.reset > 0 && iteration > 0 && iteration == reset && recovers
     }
 
+    /// Whether scales are bounded after this iteration.
+    fn bounds_scales(&self, iteration: usize) -> bool {
+        let interval = self.config.densify.interval;
+        self.config.densify.prune_error > 0.0 && iteration > 0 && iteration.is_multiple_of(interval)
+    }
+
     /// Whether masked Gaussians are removed after this iteration.
     fn prunes_masked(&self, iteration: usize) -> bool {
         let interval = self.schedule.scaled(MASK_PRUNE_INTERVAL).max(1);
@@ -162,6 +179,17 @@ impl FirstTimestep {
         let span = self.config.quantize.start.saturating_sub(DENSIFY_END);
         let is_due = |event| iteration == self.schedule.scaled(DENSIFY_END + event * span / (NUM_PRUNINGS + 1));
         self.config.densify.prune_error > 0.0 && iteration > 0 && (1..=NUM_PRUNINGS).any(is_due)
+    }
+}
+
+/// Bounds the scales of all Gaussians by their distances from the nearest camera.
+fn bound_scales(gaussians: &mut Gaussians, views: &[View]) {
+    let centers: Vec<[f32; 3]> = views.iter().map(|view| Pinhole::<f32>::new(&view.camera).center).collect();
+    let v = gaussians.views_mut();
+    for (log_scale, &mean) in v.log_scales.iter_mut().zip(v.means.iter()) {
+        let nearest = centers.iter().map(|&center| distance(center, mean)).fold(f32::INFINITY, f32::min);
+        let most = (LARGEST * nearest).ln();
+        *log_scale = log_scale.map(|s| s.min(most));
     }
 }
 
@@ -201,18 +229,19 @@ mod tests {
         assert!(long.resets_opacities(450) && long.removes_large(450) && long.reshapes(450));
         assert!(long.prunes_masked(150) && (0..1500).all(|i| !long.prunes_unneeded(i)));
         assert!((0..250).all(|i| !short.resets_opacities(i)));
-        assert!(s.reshapes(100) && s.reshapes(825) && !s.reshapes(900) && !s.reshapes(1050));
+        assert!(s.reshapes(100) && s.reshapes(825) && s.reshapes(900) && !s.reshapes(1050));
+        assert!(s.reshapes(1400) && !long.reshapes(1400), "scales are bounded until the end, where the preset does");
     }
 
     #[test]
-    fn what_only_cameras_between_show_becomes_opaque_and_grows() {
-        // Each camera has one of the first two before the third.
+    fn what_no_image_shows_becomes_opaque() {
+        // Each camera has one of the first two before the third; the fourth stands beside the images.
         let gaussians = Gaussians::from(BaseColumns {
-            means: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 4.0]],
-            quats: vec![[1.0, 0.0, 0.0, 0.0]; 3],
-            log_scales: vec![[-0.7; 3], [-0.7; 3], [-2.5; 3]],
-            logit_opacities: vec![9.0, 2.0, 0.0],
-            colors: vec![[0.9, 0.3, 0.2], [0.2, 0.5, 0.9], [0.9, 0.8, 0.3]],
+            means: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 4.0], [50.0, 0.0, 0.0]],
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; 4],
+            log_scales: vec![[-0.7; 3], [-0.7; 3], [-2.5; 3], [-1.0; 3]],
+            logit_opacities: vec![9.0, 2.0, 0.0, 0.0],
+            colors: vec![[0.9, 0.3, 0.2], [0.2, 0.5, 0.9], [0.9, 0.8, 0.3], [0.5; 3]],
         });
         let views = [-2.0, 2.0].map(|x| {
             let camera = Camera::look_at([x, 0.0, -4.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0], 60.0, 72, 54);
@@ -220,16 +249,22 @@ mod tests {
         });
         let mut state = State::new(Parameters {
             gaussians,
-            mask_logits: vec![1.0; 3],
-            foreground: vec![true; 3],
+            mask_logits: vec![1.0; 4],
+            foreground: vec![true; 4],
             camera_gains: vec![[0.0; 3]; 2],
             camera_offsets: vec![[0.0; 3]; 2],
         });
+        state.num_fixed = 1;
         let rules = first_timestep(1500, Preset::Default);
         rules.reshape(&mut state, 789, 0, &views);
-        assert_eq!(state.parameters.gaussians.logit_opacities(), [9.0, 2.0, 0.0], "no event");
+        assert_eq!(state.parameters.gaussians.logit_opacities(), [9.0, 2.0, 0.0, 0.0], "no event");
         rules.reshape(&mut state, 788, 0, &views);
-        assert_eq!(state.parameters.gaussians.logit_opacities(), [9.0, 2.0, OPAQUE]);
-        assert_eq!(state.parameters.gaussians.log_scales(), [[-0.7; 3], [-0.7; 3], [-2.5 + GROWTH; 3]]);
+        assert_eq!(state.parameters.gaussians.logit_opacities(), [9.0, 2.0, OPAQUE, OPAQUE]);
+        let log_scales = [[-0.7; 3], [-0.7; 3], [-2.5 + GROWTH; 3], [-1.0; 3]];
+        assert_eq!(state.parameters.gaussians.log_scales(), log_scales);
+        state.parameters.gaussians.log_scales_mut()[3] = [-1.0, 9.0, 2.0];
+        rules.reshape(&mut state, 900, 0, &views);
+        let distance = (48.0_f32 * 48.0 + 16.0).sqrt();
+        assert_eq!(state.parameters.gaussians.log_scales()[3], [-1.0, (LARGEST * distance).ln(), 2.0]);
     }
 }

@@ -22,8 +22,6 @@ mod seeds;
 mod unseen;
 mod youth;
 
-use std::borrow::Cow;
-
 use tcgs_core::{Camera, PointCloud, View};
 
 use self::births::Births;
@@ -38,7 +36,7 @@ use self::first_timestep::FirstTimestep;
 pub(crate) use self::first_timestep::{DENSIFY_END, MASK_PRUNE_INTERVAL};
 pub use self::removal::{Needed, Removal, TimestepViews, judge_stride, needed};
 pub use self::unseen::are_in_images;
-use self::unseen::gather_unseen;
+use self::unseen::unseen_last;
 use self::youth::raise_young;
 use crate::TrainError;
 use crate::config::{DeathConfig, TrainConfig};
@@ -47,18 +45,12 @@ use crate::schedule::Phase;
 use crate::solver::{Asked, Solver};
 use crate::state::State;
 
-/// The points at which a run's first Gaussians stand.
+/// The points at which a run's first Gaussians stand, and how many of them, the last ones, are not trained in the first
+/// timestep: where Gaussians are removed by a measured error, those in no image.
 ///
 /// - `cameras`: of the first timestep's training views
-pub(crate) fn initial_points<'a>(
-    config: &TrainConfig,
-    cloud: &'a PointCloud,
-    cameras: &[Camera],
-) -> Cow<'a, PointCloud> {
-    match config.densify.unseen_share {
-        share if share > 0.0 => Cow::Owned(gather_unseen(cloud, cameras, share)),
-        _ => Cow::Borrowed(cloud),
-    }
+pub(crate) fn initial_points(config: &TrainConfig, cloud: &PointCloud, cameras: &[Camera]) -> (PointCloud, usize) {
+    if config.densify.prune_error > 0.0 { unseen_last(cloud, cameras) } else { (cloud.clone(), 0) }
 }
 
 /// Adds and removes the Gaussians of a run.

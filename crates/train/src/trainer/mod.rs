@@ -96,11 +96,11 @@ impl Trainer {
         if cloud.points.is_empty() {
             return Err(none("points of the initial cloud"));
         }
-        let cloud = population::initial_points(config, cloud, cameras);
+        let (cloud, num_unseen) = population::initial_points(config, cloud, cameras);
         let mut parameters = Parameters::from_cloud(&cloud, cameras.len(), config.mask.initial_logit);
         let layout = Layout::with_harmonics(config.color.degree).antialiased(config.render.antialiased);
         parameters.gaussians = std::mem::take(&mut parameters.gaussians).extended(&layout);
-        Self::from_parameters(config, parameters, cameras, make)
+        Self::begun(config, parameters, num_unseen, cameras, make)
     }
 
     /// Starts a run from existing Gaussians, of any layout.
@@ -116,6 +116,17 @@ impl Trainer {
         cameras: &[Camera],
         make: impl FnOnce(State) -> Box<dyn Engine>,
     ) -> Result<Self, TrainError> {
+        Self::begun(config, parameters, 0, cameras, make)
+    }
+
+    /// - `num_unseen`: number of Gaussians, the last ones, that are in no training image
+    fn begun(
+        config: &TrainConfig,
+        parameters: Parameters,
+        num_unseen: usize,
+        cameras: &[Camera],
+        make: impl FnOnce(State) -> Box<dyn Engine>,
+    ) -> Result<Self, TrainError> {
         if parameters.num_gaussians() == 0 {
             return Err(none("Gaussians to start from"));
         }
@@ -124,7 +135,9 @@ impl Trainer {
         }
         let radius = extent(cameras, parameters.gaussians.means());
         let num_gaussians = parameters.num_gaussians();
-        let engine = make(State::new(parameters));
+        // A scene of which nothing is in an image is trained as it is.
+        let num_fixed = if num_unseen < num_gaussians { num_unseen } else { 0 };
+        let engine = make(State { num_fixed, ..State::new(parameters) });
         Ok(Self {
             solver: Solver::new(config, radius, engine, num_gaussians, 0),
             population: Population::new(config, radius, Vec::new()),

@@ -87,6 +87,21 @@ fn quantised_with_and_without_offsets() {
 }
 
 #[test]
+fn the_last_gaussians_can_stay_as_they_are() {
+    let Some(gpu) = gpu() else { return };
+    let config = config();
+    let targets = [target([40, 30], 5, 4), target([33, 20], 5, 5)];
+    for start in [state(150, 2, |i| i % 2 == 0), quantized(state(150, 2, |i| i % 2 == 0), true)] {
+        let start = State { num_fixed: 30, ..start };
+        compare("fixed", &gpu, &start, &targets, &[1], &config, Phase::First);
+        let mut engine = GpuEngine::new(&gpu, start.clone());
+        run(&mut engine, &targets, &[1, 0], &config, Phase::First).unwrap();
+        let [before, after] = [&start, engine.state().unwrap()].map(|state| state.parameters.gaussians.means());
+        assert!((before[120..] == after[120..], before[..120] != after[..120]) == (true, true));
+    }
+}
+
+#[test]
 fn harmonics_of_every_degree() {
     let Some(gpu) = gpu() else { return };
     let mut config = config();

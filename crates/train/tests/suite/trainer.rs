@@ -306,32 +306,36 @@ fn rotations_take_the_form_of_files_before_they_are_quantised() {
 fn density_adapts_by_the_rules() {
     let config = TrainConfig::default().densify;
     let cloud = tcgs_core::PointCloud {
-        points: vec![[0.0; 3], [1.0; 3], [2.0; 3], [3.0; 3], [4.0; 3]],
-        colors: vec![[0.1; 3], [0.2; 3], [0.3; 3], [0.4; 3], [0.5; 3]],
-        foreground: vec![true, false, true, false, true],
+        points: vec![[0.0; 3], [1.0; 3], [2.0; 3], [3.0; 3], [4.0; 3], [5.0; 3]],
+        colors: vec![[0.1; 3], [0.2; 3], [0.3; 3], [0.4; 3], [0.5; 3], [0.6; 3]],
+        foreground: vec![true, false, true, false, true, false],
     };
     let mut state = State::new(Parameters::from_cloud(&cloud, 1, 1.0));
     let g = &mut state.parameters.gaussians;
     // With a radius of 10: cloned up to a scale of 0.1, split above, removed above 1.
-    g.log_scales_mut().copy_from_slice(&[0.05_f32, 0.5, 0.05, 0.05, 2.0].map(|s| [s.ln(); 3]));
-    g.logit_opacities_mut().copy_from_slice(&[0.0, 0.0, 0.0, -9.0, 0.0]);
-    state.statistic = GradientStatistic { sum: vec![3e-3, 3e-3, 1e-4, 0.0, 0.0], count: vec![10, 10, 10, 0, 3] };
+    g.log_scales_mut().copy_from_slice(&[0.05_f32, 0.5, 0.05, 0.05, 2.0, 0.5].map(|s| [s.ln(); 3]));
+    g.logit_opacities_mut().copy_from_slice(&[0.0, 0.0, 0.0, -9.0, 0.0, 0.0]);
+    state.statistic =
+        GradientStatistic { sum: vec![3e-3, 3e-3, 1e-4, 0.0, 0.0, 3e-3], count: vec![10, 10, 10, 0, 3, 10] };
+    // It is not trained, and is neither cloned nor split.
+    state.num_fixed = 1;
     let step = DensifyStep { config: &config, scene_radius: 10.0, last: false, removes_large: true, seed: 1 };
     let done = densify(&mut state, &step);
     assert_eq!((done.cloned, done.split, done.removed), (1, 1, 2));
     let p = &state.parameters;
-    // Kept: 0 and 2, the clone of 0, two children of 1. The transparent and the large one are gone.
+    // Kept: 0 and 2, the clone of 0, two children of 1, and the last. The transparent and the large one are gone.
     let colors: Vec<f32> = p.gaussians.colors().iter().map(|c| c[0]).collect();
-    assert_eq!(colors, [0.1, 0.3, 0.1, 0.2, 0.2]);
-    assert_eq!(p.foreground, [true, true, true, false, false]);
+    assert_eq!(colors, [0.1, 0.3, 0.1, 0.2, 0.2, 0.6]);
+    assert_eq!(p.foreground, [true, true, true, false, false, false]);
+    assert_eq!((state.num_fixed, p.gaussians.means()[5]), (1, [5.0; 3]));
     assert_eq!(p.gaussians.means()[2], p.gaussians.means()[0]);
     for child in [3, 4] {
         assert!((p.gaussians.log_scales()[child][0].exp() - 0.5 / 1.6).abs() < 1e-6);
         let moved = p.gaussians.means()[child].map(|x| x - 1.0);
         assert!(moved != [0.0; 3] && moved.iter().all(|m| m.abs() < 2.5), "{moved:?}");
     }
-    assert_eq!(state.statistic, GradientStatistic::new(5));
-    assert_eq!(state.optimizer.mask.first.len(), 5);
+    assert_eq!(state.statistic, GradientStatistic::new(6));
+    assert_eq!(state.optimizer.mask.first.len(), 6);
     reset_opacities(&mut state);
     let opacity = tcgs_core::sigmoid(state.parameters.gaussians.logit_opacities()[0]);
     assert!((opacity - 0.01).abs() < 1e-6);

@@ -271,7 +271,7 @@ impl CpuEngine {
 
     /// Number of trained Gaussians: the first rows of the state.
     fn num_active(&self) -> usize {
-        self.staged.as_ref().map_or(self.state.parameters.num_gaussians(), |staged| staged.num_active)
+        self.staged.as_ref().map_or(self.state.num_trained(), |staged| staged.num_active)
     }
 
     /// Updates the parameters by one step of Adam.

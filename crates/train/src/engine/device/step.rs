@@ -164,7 +164,7 @@ impl StepUniform {
         let part = view.part.map(|part| (part.num_drawn, part.view));
         let [num_active, num_drawn, num_tiles, num_blocks] = match part {
             Some((num_drawn, view)) => [view.part.num_active, num_drawn, view.part.num_tiles, view.num_near],
-            None => [whole, whole, tiles, tiles],
+            None => [state.num_trained() as u32, whole, tiles, tiles],
         };
         let [num_listed, lists_at, slots_at, pictures_at, colors_at] = part.map_or([0; 5], |(_, view)| {
             let ViewPart { num_listed, lists_at, .. } = view.part;
