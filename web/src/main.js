@@ -4,7 +4,7 @@ import { pathFromJson } from "./camera_path.js";
 import { listenToEmbedder } from "./embed.js";
 import { explain } from "./failures.js";
 import { frusta } from "./frusta.js";
-import { listenForMoves } from "./input.js";
+import { listenForHeldKeys, listenForPointers } from "./input.js";
 import { addToPath, moreMenu, saveStill, showHelp, viewsMenu } from "./menus.js";
 import { readParams } from "./params.js";
 import { Player } from "./player.js";
@@ -33,7 +33,9 @@ const { toggle: toggleFrusta } = frusta(player, cameras || null, params.view ===
 // The page's training, unless the address names another scene.
 const train = params.src === null && named("train");
 const { toggle: toggleCurves } = train ? training(player, train, params) : { toggle: () => {} };
-listenForMoves(element("canvas"), player);
+listenForPointers(element("canvas"), player);
+player.addEventListener("canvas", ({ detail }) => listenForPointers(detail, player));
+listenForHeldKeys(player);
 idling(player);
 shortcuts(player, {
   camera: (index) => index < player.info.cameras.length && player.useCamera(index),
@@ -50,6 +52,7 @@ shortcuts(player, {
 listenToEmbedder(player);
 
 player.addEventListener("lost", () => toast("The camera path breaks off here"));
+player.addEventListener("fallback", ({ detail }) => toast(`${detail}: drawing with ${player.renderer} now`));
 
 /** Only the first scene starts at the view that the address names. */
 let starting = true;
@@ -71,7 +74,7 @@ async function take(chosen) {
     return;
   }
   try {
-    player.setPath(pathFromJson(await chosen.text()));
+    player.setPath(pathFromJson(await chosen.text(), player.newPath()));
     toast(`Following ${chosen.name}`);
   } catch (error) {
     toast(error instanceof SyntaxError ? "This file is no JSON" : error.code ? explain(error).text : error.message);
