@@ -109,7 +109,7 @@ fn arranged_timesteps_give_the_cpu_renderers_pictures() {
             let found = drawn(arranger.rows(), arranger.order(), moment.is_antialiased(), &camera);
             let (mean, far) = difference(&found, &expected(&moment, &camera));
             eprintln!("{name}, timestep {timestep}: {mean:.4} steps, {:.4} % far", 100.0 * far);
-            assert!(mean < 0.25 && far == 0.0, "{name}, timestep {timestep}: {mean} {far}");
+            assert!(mean < 0.05 && far == 0.0, "{name}, timestep {timestep}: {mean} {far}");
         }
     }
 }
