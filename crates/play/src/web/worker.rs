@@ -9,11 +9,12 @@ use std::rc::Rc;
 use std::task::{Poll, Waker};
 
 use js_sys::{Array, Reflect, Uint8Array, Uint32Array};
+use tcgs_core::Camera;
 use wasm_bindgen::prelude::*;
 use web_sys::{DedicatedWorkerGlobalScope, MessageEvent, Worker};
 
 use super::global::{now_ms, set_timeout};
-use super::object::{camera_object, camera_of, object, set};
+use super::object::{camera_object, object, set};
 use super::source::WebSource;
 use crate::error::{ErrorCode, PlayError};
 use crate::player::PlayerSettings;
@@ -44,6 +45,19 @@ fn given(of: &JsValue, name: &str) -> Option<JsValue> {
 fn vector_of(values: &JsValue) -> [f64; 3] {
     let values = Array::from(values);
     std::array::from_fn(|axis| values.get(axis as u32).as_f64().unwrap_or(0.0))
+}
+
+/// The camera of a [`camera_object`] of this program, unchecked: both ends have to mean the same one.
+fn camera_of(given: &JsValue) -> Camera {
+    let matrix = Array::from(&field(given, "cameraFromWorld"));
+    let entry = |row: usize, column: usize| matrix.get((4 * row + column) as u32).as_f64().unwrap_or(0.0);
+    Camera {
+        width: number(given, "width") as usize,
+        height: number(given, "height") as usize,
+        focal: [number(given, "fx"), number(given, "fy")],
+        principal: [number(given, "cx"), number(given, "cy")],
+        camera_from_world: std::array::from_fn(|row| std::array::from_fn(|column| entry(row, column))),
+    }
 }
 
 fn vector(values: [f64; 3]) -> JsValue {
@@ -172,9 +186,10 @@ fn reply_of(message: &JsValue) -> Reply<Uint32Array> {
         let code = ErrorCode::ALL.into_iter().find(|code| code.as_str() == said).unwrap_or(ErrorCode::Damaged);
         PlayError::Worker { code, message: field(&failure, "message").as_string().unwrap_or_default() }
     });
-    let start = given(message, "start").and_then(|start| {
-        let camera = camera_of(&field(&start, "camera")).ok()?;
-        Some(StartView { camera, up: vector_of(&field(&start, "up")), pivot: vector_of(&field(&start, "pivot")) })
+    let start = given(message, "start").map(|start| StartView {
+        camera: camera_of(&field(&start, "camera")),
+        up: vector_of(&field(&start, "up")),
+        pivot: vector_of(&field(&start, "pivot")),
     });
     let words = |name: &str| given(message, name).map(|words| words.unchecked_into::<Uint32Array>());
     Reply {
@@ -263,7 +278,7 @@ impl Desk {
                 timestep: number(message, "timestep") as usize,
                 is_backwards: flag(message, "backwards"),
                 is_looping: flag(message, "looping"),
-                camera: given(message, "camera").and_then(|camera| camera_of(&camera).ok()),
+                camera: given(message, "camera").map(|camera| camera_of(&camera)),
             });
         }
         self.work(true);
