@@ -76,7 +76,7 @@ pub struct Context {
     most: usize,
 }
 
-/// What splats are blended into.
+/// The picture into which splats are blended.
 struct Target {
     framebuffer: WebGlFramebuffer,
     texture: Option<WebGlTexture>,
@@ -278,9 +278,8 @@ fn texture(gl: &Gl, format: u32, [width, height]: [usize; 2]) -> Option<WebGlTex
 fn constants() -> String {
     let floats = [("NEAR", NEAR), ("BLUR_VARIANCE", BLUR_VARIANCE), ("MIN_ALPHA", MIN_ALPHA), ("MAX_ALPHA", MAX_ALPHA)];
     let floats: String = floats.map(|(name, value)| format!("const float {name} = {value:e};\n")).concat();
-    format!(
-        "#version 300 es\nprecision highp float;\nprecision highp int;\nprecision highp sampler2D;\n{floats}const uint LINE = {LINE}u;\n"
-    )
+    let precisions: String = ["float", "int", "sampler2D"].map(|kind| format!("precision highp {kind};\n")).concat();
+    format!("#version 300 es\n{precisions}{floats}const uint LINE = {LINE}u;\n")
 }
 
 fn program(gl: &Gl, vertex: &str, fragment: &str) -> Result<WebGlProgram, PlayError> {

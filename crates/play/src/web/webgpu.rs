@@ -109,7 +109,7 @@ impl Canvas {
         self.num_drawn.wrapping_sub(self.num_finished.load(Ordering::Relaxed))
     }
 
-    /// What has gone wrong on the GPU so far.
+    /// Whether the GPU still works.
     pub fn check(&self) -> Result<(), PlayError> {
         Ok(self.gpu.check()?)
     }

@@ -64,7 +64,7 @@ fn vector(values: [f64; 3]) -> JsValue {
     values.into_iter().map(JsValue::from_f64).collect::<Array>().into()
 }
 
-/// What has come from the worker.
+/// Messages that have come from the worker.
 #[derive(Default)]
 struct Arrivals {
     turn: u32,

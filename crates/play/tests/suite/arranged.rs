@@ -1,5 +1,5 @@
-//! What a worker prepares for WebGL2, drawn here as the shaders draw it, is the picture of the CPU's renderer; and a
-//! player whose scene is in a worker shows what any player shows.
+//! Timesteps that a worker arranges for WebGL2 are drawn here as the shaders draw them, and compared with the CPU's
+//! renderer. A player whose scene is in a worker shows the same as any player.
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -114,7 +114,7 @@ fn arranged_timesteps_give_the_cpu_renderers_pictures() {
     }
 }
 
-/// Whatever the CPU's renderer draws is in the order, from anywhere.
+/// The order holds all Gaussians that the CPU's renderer draws, from any place.
 #[test]
 fn nothing_visible_is_left_out() {
     for (name, file) in files() {
