@@ -140,7 +140,7 @@ impl<F: Feed, R: Renderer<Moment = F::Moment>> Viewer<F, R> {
 
     /// Lets time pass, takes the bytes that have arrived, and decodes.
     ///
-    /// - `now_ms`: as for [`Player::update`]
+    /// - `now_ms`: as for [`Feed::update`]
     /// - returns: whether there is a picture to draw
     ///
     /// # Errors
