@@ -1,5 +1,7 @@
 //! The choice of backend, CPU or GPU, by `--backend` and `--device`.
 
+use std::ffi::OsString;
+
 use anyhow::anyhow;
 use clap::{Args, ValueEnum};
 use tcgs_pipeline::{Backend, PipelineError};
@@ -31,6 +33,13 @@ pub enum BackendName {
 }
 
 impl BackendOptions {
+    /// These options as words of a command line.
+    pub fn words(&self) -> Vec<OsString> {
+        let backend = self.backend.and_then(|name| Some(name.to_possible_value()?.get_name().to_owned()));
+        let options = [("--backend", backend), ("--device", self.device.clone())];
+        options.into_iter().filter_map(|(name, value)| Some([name.into(), value?.into()])).flatten().collect()
+    }
+
     /// Opens the requested backend and prints its name on standard error. Call it after setting the number of threads.
     ///
     /// - `default`: used where the command line names no backend

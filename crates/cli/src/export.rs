@@ -22,12 +22,14 @@ use crate::terminal::{note, say};
 /// births or deaths with --frames, or write another kind of file: all others hold the whole scene.
 ///
 /// A PLY file has the format of 3D Gaussian splatting, which most viewers read. A .glb file is glTF with
-/// KHR_gaussian_splatting. Files of the endings .compressed.ply, .spz and .sog are smaller and round all numbers; a .sog
-/// file rounds colours and harmonics most. All of these hold one timestep; in a folder of many a file's name is its
-/// frame. An .spz file declares the axes of PLY files; version 4 of the format is written. A .4dgs file holds
-/// all timesteps, quantised as finely as its format offers. A .f32 file holds plain floats, bit for bit: for each frame
-/// all means, quats, log_scales, logit_opacities and colors, then further columns, little-endian. A run is exported in
-/// floats, without the Gaussians that its masks prune: these files cannot hold masks.
+/// KHR_gaussian_splatting. Files of the endings .compressed.ply, .spz and .sog are smaller and round all numbers; a
+/// .sog file rounds colours and harmonics most. All of these hold one timestep; in a folder of many a file's name is
+/// its frame. An .spz file declares the axes of PLY files; version 4 of the format is written. A .4dgs file holds all
+/// timesteps, quantised as finely as its format offers. A .usda file is animated USD for Omniverse, Houdini and others
+/// (ParticleField3DGaussianSplat of OpenUSD 26.03), as text: usdcat makes it smaller. A .f32 file holds plain floats,
+/// bit for bit: for each frame all means, quats, log_scales, logit_opacities and colors, then further columns,
+/// little-endian. A run is exported in floats, without the Gaussians that its masks prune: these files cannot hold
+/// masks.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:
@@ -36,13 +38,14 @@ Example:
   tcgs export scene.tcgs --to glbs --files glb
   tcgs export scene.tcgs --to for_supersplat --files sog
   tcgs export scene.tcgs --to scene.4dgs
+  tcgs export scene.tcgs --to scene.usda
   tcgs export scene.tcgs --frames 7..8 --to frame_7.ply")]
 pub struct Arguments {
     /// .tcgs file, run folder, params.npz, .4dgs file, or PLY, SPZ, glTF or SOG files
     scene: PathBuf,
     #[command(flatten)]
     reading: SceneOptions,
-    /// File or folder to write. The ending selects the format: .npz, .4dgs or .f32 for all timesteps, .ply,
+    /// File or folder to write. The ending selects the format: .npz, .4dgs, .usda or .f32 for all timesteps, .ply,
     /// .compressed.ply, .spz, .glb or .sog for one, none for a folder of these
     #[arg(long, value_name = "FILE|DIR")]
     to: PathBuf,
@@ -88,6 +91,7 @@ enum Target {
     ParamsNpz,
     Timestep(TimestepKind),
     Fourdgs,
+    Usda,
     Floats,
     Folder(TimestepKind, NewFolder),
 }
@@ -132,6 +136,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Target::Fourdgs => {
             let bytes = export.fourdgs(frames)?;
             write_file_with(to, force, |mut file| file.write_all(&bytes))?;
+            length(to)
+        }
+        Target::Usda => {
+            write_file_with(to, force, export.usda(frames)?)?;
             length(to)
         }
         Target::Floats => {
@@ -179,6 +187,7 @@ fn target(arguments: &Arguments) -> anyhow::Result<Target> {
     match to.extension().map(|extension| extension.to_string_lossy().to_lowercase()).as_deref() {
         Some("npz") => file(Target::ParamsNpz),
         Some("4dgs") => file(Target::Fourdgs),
+        Some("usda") => file(Target::Usda),
         Some("f32") => file(Target::Floats),
         other if other.is_none() || to.is_dir() => {
             job.begin(&[], &[scene])?;
@@ -188,8 +197,8 @@ fn target(arguments: &Arguments) -> anyhow::Result<Target> {
         }
         _ => {
             let problem = "not a kind of file that this version writes";
-            let expected = "NAME.npz, NAME.ply, NAME.compressed.ply, NAME.spz, NAME.glb, NAME.sog, NAME.4dgs, NAME.f32, \
-                            or a folder's name without an ending";
+            let expected = "NAME.npz, NAME.ply, NAME.compressed.ply, NAME.spz, NAME.glb, NAME.sog, NAME.4dgs, \
+                            NAME.usda, NAME.f32, or a folder's name without an ending";
             Err(wrong_input(format!("{}: {problem}, expected {expected}", to.display())))
         }
     }

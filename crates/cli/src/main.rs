@@ -13,6 +13,7 @@ mod eval;
 mod export;
 mod info;
 mod interrupt;
+mod make;
 mod next;
 mod options;
 mod output;
@@ -27,6 +28,7 @@ mod train;
 mod verify;
 mod view;
 
+use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::error::ErrorKind;
@@ -44,6 +46,9 @@ struct Arguments {
 
 const EXAMPLE: &str = "\
 Example:
+  tcgs make my_videos
+or step by step:
+  tcgs prepare my_videos --out my_capture
   tcgs train my_capture --out my_run --preset fast
   tcgs compress my_run
   tcgs eval my_run/scene.tcgs --capture my_capture
@@ -54,6 +59,7 @@ signal that asks for the same (SIGTERM, SIGHUP), 1 anything else.";
 #[derive(Subcommand)]
 enum Command {
     Demo(demo::Arguments),
+    Make(make::Arguments),
     Prepare(prepare::Arguments),
     Train(train::Arguments),
     Compress(compress::Arguments),
@@ -87,6 +93,7 @@ fn main() -> ExitCode {
 fn run(command: Command) -> anyhow::Result<()> {
     match command {
         Command::Demo(arguments) => demo::run(&arguments),
+        Command::Make(arguments) => make::run(&arguments),
         Command::Prepare(arguments) => prepare::run(&arguments),
         Command::Train(arguments) => train::run(&arguments),
         Command::Compress(arguments) => compress::run(&arguments),
@@ -98,6 +105,13 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::View(arguments) => view::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
     }
+}
+
+/// Parses a command of this program.
+///
+/// - `words`: without the program's name
+fn command(words: Vec<OsString>) -> anyhow::Result<Command> {
+    Ok(Arguments::try_parse_from(std::iter::once("tcgs".into()).chain(words))?.command)
 }
 
 /// Disables Mesa's Vulkan layer for device selection. Without a desktop session the layer complains on standard error

@@ -1,11 +1,24 @@
 //! Suggests the next command as a line that a shell can run. Paths are quoted, and suggested outputs do not exist yet.
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use tcgs_capture::{Capture, Split};
 use tcgs_train::{Run, TrainConfig};
 
 use crate::terminal::say;
+
+/// Whether nothing is suggested: `tcgs make` runs the next command itself.
+static IS_SILENT: AtomicBool = AtomicBool::new(false);
+
+/// Suggests nothing from now on.
+pub fn be_silent() {
+    IS_SILENT.store(true, Ordering::Relaxed);
+}
+
+fn suggest(command: &str) -> anyhow::Result<()> {
+    if IS_SILENT.load(Ordering::Relaxed) { Ok(()) } else { say(&format!("next: {command}")) }
+}
 
 /// The command that turns a folder of videos into a capture.
 pub fn prepare(videos: &Path) -> String {
@@ -18,7 +31,7 @@ pub fn prepare(videos: &Path) -> String {
 pub fn train(capture: &Path, points: Option<&Path>) -> anyhow::Result<()> {
     let run = beside(capture, "run");
     let points = points.map_or(String::new(), |points| format!(" --points {}", quoted(points)));
-    say(&format!("next: tcgs train {}{points} --out {}", quoted(capture), quoted(&run)))
+    suggest(&format!("tcgs train {}{points} --out {}", quoted(capture), quoted(&run)))
 }
 
 /// Prints the commands that compress a run and measure the file.
@@ -30,8 +43,8 @@ pub fn compress(run: &Run, place: &Path, capture: &Capture) -> anyhow::Result<()
     let file = free(&default);
     let out = if file == default { String::new() } else { format!(" --out {}", quoted(&file)) };
     let cameras = judges(run.config(), capture)?.map_or(String::new(), |judges| format!(" --cameras {judges}"));
-    say(&format!(
-        "next: tcgs compress {}{out} && tcgs eval {} --capture {}{cameras}",
+    suggest(&format!(
+        "tcgs compress {}{out} && tcgs eval {} --capture {}{cameras}",
         quoted(run.folder()),
         quoted(&file),
         quoted(place)

@@ -4,6 +4,7 @@ use std::convert::Infallible;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::Context;
@@ -38,8 +39,12 @@ impl JobOptions {
     /// - `files`: files to write besides that of `--json`
     /// - `sources`: files and folders that the command reads
     pub fn begin(&self, files: &[&Path], sources: &[&Path]) -> anyhow::Result<()> {
-        let threads = rayon::ThreadPoolBuilder::new().num_threads(self.threads.unwrap_or(0));
-        threads.build_global().context("starting threads")?;
+        // A command that runs others has started them already.
+        static STARTED: AtomicBool = AtomicBool::new(false);
+        if !STARTED.swap(true, Ordering::Relaxed) {
+            let threads = rayon::ThreadPoolBuilder::new().num_threads(self.threads.unwrap_or(0));
+            threads.build_global().context("starting threads")?;
+        }
         let files: Vec<&Path> = files.iter().copied().chain(self.json.as_deref()).collect();
         output::check_files(&files, sources, self.force)
     }
@@ -110,21 +115,25 @@ pub fn refining(text: &str) -> Result<Refining, String> {
 }
 
 fn refine_budget(text: &str) -> Result<RefineBudget, String> {
+    let count = text.parse().ok().filter(|&count: &usize| count > 0).map(RefineBudget::Iterations);
+    count.or_else(|| time_of(text).map(RefineBudget::Time)).ok_or_else(|| EXPECTED_BUDGET.into())
+}
+
+/// A time with its unit.
+pub fn time(text: &str) -> Result<Duration, String> {
+    time_of(text).ok_or_else(|| "expected a time with its unit, such as 90s, 20m or 2h".into())
+}
+
+fn time_of(text: &str) -> Option<Duration> {
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
-    let seconds = match &text[digits.len()..] {
-        "" => {
-            let count = digits.parse().ok().filter(|&count: &usize| count > 0);
-            return count.map(RefineBudget::Iterations).ok_or_else(|| EXPECTED_BUDGET.into());
-        }
+    let unit = match &text[digits.len()..] {
         "s" => 1.0,
         "m" | "min" => 60.0,
         "h" => 3600.0,
-        _ => return Err(EXPECTED_BUDGET.into()),
+        _ => return None,
     };
-    let number = digits.parse().ok().filter(|number: &f64| *number > 0.0 && *number * seconds < 1e7);
-    number
-        .map(|number| RefineBudget::Time(Duration::from_secs_f64(number * seconds)))
-        .ok_or_else(|| EXPECTED_BUDGET.into())
+    let number = digits.parse().ok().filter(|number: &f64| *number > 0.0 && *number * unit < 1e7)?;
+    Some(Duration::from_secs_f64(number * unit))
 }
 
 const EXPECTED_BUDGET: &str = "expected off, a time, such as 90s, 5m or 1h, or a number of iterations";

@@ -4,6 +4,7 @@ use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use anyhow::Context;
 use serde_json::Value;
@@ -166,6 +167,15 @@ pub fn is_numbered(path: &Path, ending: &str) -> bool {
 
 fn exists(path: &Path) -> anyhow::Error {
     wrong_input(format!("{}: exists already, expected a new name or --force to replace it", path.display()))
+}
+
+/// A time in words.
+pub fn show_time(time: Duration) -> String {
+    match time.as_secs_f64() {
+        secs @ ..90.0 => format!("{secs:.0} s"),
+        secs @ ..5400.0 => format!("{:.0} min", secs / 60.0),
+        secs => format!("{:.1} h", secs / 3600.0),
+    }
 }
 
 /// Formats a size with three digits and a unit in powers of 1000.

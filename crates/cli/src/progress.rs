@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use tcgs_core::printable;
 
+use crate::output::show_time;
 use crate::terminal::{note, say};
 
 /// Least time between two lines where there is no terminal.
@@ -73,11 +74,7 @@ impl Progress {
 fn time_left(elapsed: Duration, done: f64) -> Option<String> {
     const FEW: f64 = 0.02;
     let secs = (FEW..1.0).contains(&done).then(|| elapsed.as_secs_f64() * (1.0 - done) / done)?;
-    Some(match secs {
-        ..90.0 => format!("{secs:.0} s"),
-        ..5400.0 => format!("{:.0} min", secs / 60.0),
-        _ => format!("{:.1} h", secs / 3600.0),
-    })
+    Some(show_time(Duration::from_secs_f64(secs)))
 }
 
 impl Drop for Progress {

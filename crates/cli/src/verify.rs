@@ -31,8 +31,8 @@ or none is declared; 2 wrong usage, a damaged file, or another scene than SOURCE
 pub struct Arguments {
     /// .tcgs file
     file: PathBuf,
-    /// The compressed scene: run folder, params.npz, .4dgs file, PLY, SPZ, glTF or SOG files, or .tcgs file; several run
-    /// folders if chapters were joined
+    /// The compressed scene: run folder, params.npz, .4dgs file, PLY, SPZ, glTF or SOG files, or .tcgs file; several
+    /// run folders if chapters were joined
     sources: Vec<PathBuf>,
     #[command(flatten)]
     reading: SourceOptions,

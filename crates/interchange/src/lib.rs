@@ -9,6 +9,7 @@
 //! | SPZ, versions 2 to 4 | [`read_gaussians`] | [`write_spz_to`], version 4 |
 //! | glTF with `KHR_gaussian_splatting`, `.glb` and `.gltf` | [`read_gaussians`] | [`write_glb_to`], `.glb` |
 //! | SOG, version 2, `.sog` | [`read_gaussians`] | [`write_sog_to`] |
+//! | animated USD, `.usda`, a whole scene | – | [`write_usda_to`] |
 //! | `.4dgs`, a whole scene | [`FourdgsFile`] | [`fourdgs_bytes`] |
 //! | PLY of points | [`read_ply_points`] | – |
 //! | npz archives and npy arrays of any content | [`NpzReader`], [`read_npy`] | [`NpzWriter`] |
@@ -41,6 +42,7 @@ mod testing;
 mod timestep_files;
 mod unfinished;
 mod unread;
+mod usd;
 
 pub use axes::Axes;
 pub use error::InterchangeError;
@@ -66,3 +68,4 @@ pub use unfinished::{
     write_whole,
 };
 pub use unread::UnreadKind;
+pub use usd::write_usda_to;

@@ -40,6 +40,30 @@ pub(crate) fn logit(opacity: f64, nearest: [f64; 2]) -> f32 {
     (opacity / rest).ln() as f32
 }
 
+/// The largest component of a rotation, and the three others in turn, with the sign that makes the largest positive:
+/// readers compute it from the others. The first of equally large ones is the largest.
+///
+/// - `unit`: components of a unit quaternion in the order of a file
+pub(crate) fn smallest_three(unit: [f64; 4]) -> (usize, [f64; 3]) {
+    let which = (1..4).fold(0, |which, c| if unit[c].abs() > unit[which].abs() { c } else { which });
+    let sign = if unit[which] < 0.0 { -1.0 } else { 1.0 };
+    let mut others = (0..4).filter(|&c| c != which).map(|c| sign * unit[c]);
+    (which, std::array::from_fn(|_| others.next().unwrap_or_default()))
+}
+
+/// Coefficients of degree 1 and above, Gaussian by Gaussian: by degree and order, red, green and blue together.
+pub(crate) fn harmonics_in_rows(gaussians: &Gaussians) -> Vec<f32> {
+    let bands = gaussians.layout().harmonics();
+    let mut all = Vec::new();
+    for i in 0..gaussians.num_gaussians() {
+        for &band in &bands {
+            let components = band.components();
+            all.extend_from_slice(&gaussians.values(band)[i * components..][..components]);
+        }
+    }
+    all
+}
+
 /// [`logit`] of an opacity of 8 bits.
 pub(crate) fn logit_of_byte(byte: u8) -> f32 {
     logit(f64::from(byte) / 255.0, [0.25 / 255.0; 2])

@@ -5,7 +5,7 @@ use tcgs_core::{Gaussians, Layout, normalize, sigmoid};
 /// The largest errors of a kind of file.
 pub struct Bounds {
     pub mean: [f64; 3],
-    /// Of the three components of a unit quaternion that are stored.
+    /// For the three stored components of a unit quaternion.
     pub quat: f64,
     pub log_scale: [f64; 3],
     /// Activated.

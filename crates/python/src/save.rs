@@ -46,12 +46,17 @@ pub fn save(scene: &OpenScene, path: &Path, overwrite: bool, watch: &mut Watch) 
             let bytes = Export::new(scene)?.fourdgs(frames)?;
             return write(path, overwrite, |mut to| to.write_all(&bytes));
         }
+        Some("usda") => {
+            let export = Export::new(scene)?;
+            let fill = export.usda(frames)?;
+            return write(path, overwrite, fill);
+        }
         None => return save_folder(scene, path, watch),
         Some(_) => match TimestepKind::of(path) {
             Some(kind) => kind,
             None => {
-                let expected =
-                    ".tcgs, .npz, .4dgs, .ply, .compressed.ply, .spz, .glb or .sog, or a new folder for PLY files";
+                let expected = ".tcgs, .npz, .4dgs, .usda, .ply, .compressed.ply, .spz, .glb or .sog, or a new folder \
+                                for PLY files";
                 return Err(wrong(path, "has an unknown ending", expected));
             }
         },

@@ -307,10 +307,10 @@ impl PyScene {
         Ok(cameras.into_iter().map(PyCamera).collect())
     }
 
-    /// Writes the scene in the format that the ending of `path` names. .tcgs is compressed as by `compress`; a
-    /// compressed scene is copied. .npz is params.npz of Dynamic 3D Gaussians, .4dgs holds all timesteps. .ply,
-    /// .compressed.ply, .spz, .glb and .sog hold one timestep. A name without an ending becomes a new folder with a PLY file for each timestep. For a run,
-    /// the Gaussians that its masks leave out over time are not written.
+    /// Writes the scene in the format that the ending of `path` names. .tcgs is compressed as by `compress`, or copied
+    /// if the scene is compressed. .npz is params.npz of Dynamic 3D Gaussians. .4dgs and .usda hold all timesteps.
+    /// .ply, .compressed.ply, .spz, .glb and .sog hold one. A name without an ending becomes a new folder with a PLY
+    /// file for each timestep. Gaussians that the masks of a run leave out over time are not written.
     ///
     /// - overwrite: replace a file that exists; folders are never replaced
     #[pyo3(signature = (path, *, overwrite = false, progress = true, callback = None))]

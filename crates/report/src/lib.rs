@@ -84,7 +84,8 @@ pub fn html(report: &Report) -> String {
     let mut page = summary(&report.summary);
     section(&mut page, "Pictures", "", &pictures(&report.pictures));
     section(&mut page, "Size", "What each step leaves of the model.", &sizes(&report.stages));
-    section(&mut page, "Quality over time", "On the test cameras, which training never saw.", &quality(report));
+    let note = "On the test cameras, which training never saw.";
+    section(&mut page, "Quality over time", note, &psnr_over_time(&report.psnr_over_time));
     section(&mut page, "Training", "Loss of the training images.", &loss(&report.loss));
     section(&mut page, "Time", "", &seconds(&report.seconds));
     let note = "How many samples each track of a value over time keeps; lines join them.";
@@ -117,7 +118,8 @@ pub fn section(page: &mut String, name: &str, note: &str, body: &str) {
     *page += &format!("<section aria-labelledby=\"{id}\">\n<h2 id=\"{id}\">{name}</h2>\n{note}{body}</section>\n");
 }
 
-fn summary(figures: &[(String, String)]) -> String {
+/// Headline figures: name and value.
+pub fn summary(figures: &[(String, String)]) -> String {
     let tiles = figures.iter().fold(String::new(), |mut tiles, (name, value)| {
         let _ = write!(tiles, "<div><dt>{}</dt><dd>{}</dd></div>", escape(name), escape(value));
         tiles
@@ -151,9 +153,9 @@ fn sizes(stages: &[CompressionStep]) -> String {
     format!("{}{table}</tbody></table></div>\n", rows("Bytes after each step, logarithmic scale", &bars, true))
 }
 
-fn quality(report: &Report) -> String {
-    let series: Vec<Line> = report
-        .psnr_over_time
+/// PSNR in dB of every timestep.
+pub fn psnr_over_time(all: &[Series]) -> String {
+    let series: Vec<Line> = all
         .iter()
         .map(|series| Line {
             name: series.name.clone(),
@@ -178,7 +180,8 @@ fn loss(loss: &[(u64, f32)]) -> String {
     lines("Training loss over iterations, logarithmic scale", &axes, &[line])
 }
 
-fn seconds(seconds: &[(String, f64)]) -> String {
+/// Seconds spent on each part.
+pub fn seconds(seconds: &[(String, f64)]) -> String {
     let bars: Vec<Row> = seconds
         .iter()
         .map(|(name, value)| Row { name: name.clone(), value: *value, text: format!("{} s", decimal(Some(*value), 1)) })
@@ -225,6 +228,12 @@ pub fn pictures(pictures: &[Picture]) -> String {
         );
     }
     grid + "</div>\n"
+}
+
+/// Texts as items of a list.
+pub fn list<'a>(items: impl IntoIterator<Item = &'a str>) -> String {
+    let items = items.into_iter().fold(String::new(), |all, item| all + "<li>" + &escape(item) + "</li>\n");
+    if items.is_empty() { items } else { format!("<ul>\n{items}</ul>\n") }
 }
 
 /// A picture as a PNG file.

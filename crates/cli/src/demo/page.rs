@@ -7,8 +7,8 @@ use anyhow::Context;
 use image::RgbImage;
 use rayon::prelude::*;
 use tcgs_capture::{Capture, Split};
-use tcgs_core::{Attribute, Image};
-use tcgs_pipeline::{Evaluation, ImageScore, OpenScene};
+use tcgs_core::Attribute;
+use tcgs_pipeline::OpenScene;
 use tcgs_render::device::GpuError;
 use tcgs_render::{DrawAny, RenderSettings};
 use tcgs_report::{CompressionStep, Picture, Report, Series, png};
@@ -16,6 +16,7 @@ use tcgs_train::Run;
 
 use super::Outcome;
 use crate::output::show_bytes;
+use crate::pictures::{series, side_by_side, spread};
 
 /// Number of timesteps in the report, spread over the clip.
 const SHOWN: usize = 4;
@@ -31,11 +32,9 @@ pub fn write_frames(
     renderer: &DrawAny,
     folder: &Path,
 ) -> anyhow::Result<Vec<Picture>> {
-    let frames = scene.frames();
-    let last = frames.len().saturating_sub(1);
-    let shown: Vec<usize> = (0..SHOWN).map(|i| frames.start + i * last / (SHOWN - 1)).collect();
+    let shown = spread(&scene.frames(), SHOWN);
     let mut pictures = Vec::new();
-    for frame in frames {
+    for frame in scene.frames() {
         let drawn = scene.drawn(frame - scene.first_frame)?;
         let views = capture.views(Split::Test, frame, 1)?;
         let pairs = views.par_iter().map(|view| {
@@ -57,22 +56,6 @@ pub fn write_frames(
         }
     }
     Ok(pictures)
-}
-
-/// Both images side by side with a white line between them.
-fn side_by_side(left: &Image, right: &Image) -> RgbImage {
-    let (width, height) = (left.width, left.height);
-    let (left, right) = (left.to_rgb8(), right.to_rgb8());
-    RgbImage::from_fn(2 * width as u32 + 2, height as u32, |x, y| {
-        let (x, y) = (x as usize, y as usize);
-        let (source, x) = match x {
-            x if x < width => (&left, x),
-            x if x < width + 2 => return image::Rgb([255; 3]),
-            x => (&right, x - width - 2),
-        };
-        let at = 3 * (y * width + x);
-        image::Rgb([source[at], source[at + 1], source[at + 2]])
-    })
 }
 
 fn enlarged(image: &RgbImage) -> RgbImage {
@@ -128,13 +111,6 @@ pub fn html(outcome: &Outcome, run: &Run, pictures: Vec<Picture>) -> anyhow::Res
         bits_histogram: bits_histogram(outcome),
         pictures,
     }))
-}
-
-/// Mean of a metric at each timestep.
-fn series(name: &str, evaluation: &Evaluation, metric: impl Fn(&ImageScore) -> Option<f64>) -> Series {
-    let timesteps = evaluation.images.iter().map(|i| i.timestep + 1).max().unwrap_or(0);
-    let at = |t| ImageScore::mean(evaluation.images.iter().filter(|i| i.timestep == t), &metric);
-    Series { name: name.into(), values: (0..timesteps).map(|t| at(t).unwrap_or(f64::NAN)).collect() }
 }
 
 /// Losses over the iterations of the whole run, from the run's metrics.

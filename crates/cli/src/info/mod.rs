@@ -29,8 +29,8 @@ use crate::terminal::{note, say, write};
 /// Every checksum of a .tcgs file is verified. The exit code is 2 if the file is damaged, or if it was cut and
 /// --recover is not given. If a file has more than 64 MB, only its tables are read: tcgs verify reads all of it.
 ///
-/// Other scenes are run folders, params.npz, .4dgs files, and PLY, SPZ, glTF or SOG files. Their basics are the kind, the
-/// numbers of Gaussians and timesteps, the frame rate, the degree of spherical harmonics, antialiasing, the axes,
+/// Other scenes are run folders, params.npz, .4dgs files, and PLY, SPZ, glTF or SOG files. Their basics are the kind,
+/// the numbers of Gaussians and timesteps, the frame rate, the degree of spherical harmonics, antialiasing, the axes,
 /// bounds and sizes. Bounds are those of the means at the first timestep.
 #[derive(clap::Args)]
 #[command(after_help = "\

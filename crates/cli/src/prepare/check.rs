@@ -2,17 +2,15 @@
 
 use std::path::Path;
 
-use anyhow::Context;
-use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
 use serde_json::{Value, json};
 use tcgs_capture::Capture;
-use tcgs_core::Image;
 use tcgs_pipeline::{CHECK_PAGE, examine};
 use tcgs_prepare::{CameraFit, Diagnosis};
 
 use super::page;
 use crate::options::JobOptions;
 use crate::output::write_file;
+use crate::pictures::rgb;
 use crate::teller::Teller;
 use crate::terminal::say;
 
@@ -32,7 +30,7 @@ pub fn run(path: &Path, sheet: Option<&Path>, page: Option<&Path>, job: &JobOpti
         say(&finding.to_string())?;
     }
     if let Some(sheet) = sheet {
-        write_file(sheet, &png(&diagnosis.sheet)?, job.force)?;
+        write_file(sheet, &tcgs_report::png(&rgb(&diagnosis.sheet))?, job.force)?;
     }
     if let Some(page) = page {
         write_file(page, page::html(path, &capture, &diagnosis)?.as_bytes(), job.force)?;
@@ -163,12 +161,4 @@ fn json(path: &Path, diagnosis: &Diagnosis) -> Value {
         "findings": findings,
         "cameras": cameras,
     })
-}
-
-fn png(image: &Image) -> anyhow::Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    PngEncoder::new(&mut bytes)
-        .write_image(&image.to_rgb8(), image.width as u32, image.height as u32, ExtendedColorType::Rgb8)
-        .context("encoding the picture")?;
-    Ok(bytes)
 }

@@ -64,8 +64,8 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     points: Option<PathBuf>,
     /// Continue the state of SCENE at timestep T (default: its last): a run folder, .tcgs, params.npz or a folder of
-    /// PLY, SPZ, glTF or SOG. The first timestep is trained as a later one, from there. From a run, masks, quantizers and,
-    /// at its last two timesteps, the optimizer's state carry over
+    /// PLY, SPZ, glTF or SOG. The first timestep is trained as a later one, from there. From a run, masks, quantizers
+    /// and, at its last two timesteps, the optimizer's state carry over
     #[arg(long, value_name = "SCENE@T", conflicts_with = "points")]
     start_from: Option<String>,
     /// With --start-from: axes of PLY, SPZ, glTF and .4dgs files, such as rub [default: those that the file declares,

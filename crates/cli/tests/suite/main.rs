@@ -16,6 +16,7 @@ mod foreign;
 mod hostile;
 mod interchange;
 mod layouts;
+mod make;
 #[cfg(target_os = "linux")]
 mod memory;
 mod next;

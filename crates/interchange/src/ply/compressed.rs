@@ -13,8 +13,8 @@
 //! | | `packed_rotation` | 2: which of `w, x, y, z` is largest; 10, 10, 10: the others | `√2 (unorm - ½)`; the largest follows, positive |
 //! | `sh` | `f_rest_0` to `f_rest_44` | 8 | `8 (n - ½)` with `n = (byte + ½) / 256`, and 0 or 1 for bytes 0 and 255 |
 //!
-//! Errors of positions, scales, colours and opacities are therefore at most half a step. Those of `f_rest` between -4
-//! and 4 are at most 1/64, and 3/128 next to -4 and 4, if a writer takes the nearest byte. What does not live here:
+//! Errors of positions, scales, colours and opacities are therefore at most half a step. If a writer takes the nearest
+//! byte, errors of `f_rest` between -4 and 4 are at most 1/64, and 3/128 next to -4 and 4. What does not live here:
 //! writing (`pack`).
 
 use std::fs::File;

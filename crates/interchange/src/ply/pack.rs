@@ -1,5 +1,6 @@
 //! Writes a compressed PLY file. Its layout is the table of `compressed`.
 
+use std::f64::consts::SQRT_2;
 use std::io::{self, Write};
 
 use tcgs_core::{Gaussians, normalize, sigmoid};
@@ -7,6 +8,7 @@ use tcgs_core::{Gaussians, normalize, sigmoid};
 use super::compressed::{CHUNK, COLOR_RANGES, PACKED, RANGES};
 use super::vertex::{PROPERTIES, REQUIRED};
 use super::{ANTIALIASED, num_rest, rest_of_band};
+use crate::stored::smallest_three;
 
 /// Largest log scale that is written, and the negative of the smallest: standard deviations of 2e-9 and 5e8 scene
 /// units. Scales beyond would widen the ranges of all 256 Gaussians of a chunk.
@@ -136,13 +138,8 @@ fn point([x, y, z]: [f64; 3]) -> u32 {
 
 /// The identity of a rotation without a direction.
 fn rotation(quat: [f32; 4]) -> u32 {
-    let unit = normalize(quat.map(f64::from));
-    // The first of equal ones, so that nothing else decides.
-    let which = (1..4).fold(0, |which, c| if unit[c].abs() > unit[which].abs() { c } else { which });
-    // Both signs are the same rotation; readers take the largest for positive.
-    let sign = if unit[which] < 0.0 { -1.0 } else { 1.0 };
-    let others = (0..4).filter(|&c| c != which);
-    others.fold(which as u32, |packed, c| packed << 10 | unorm(sign * unit[c] / std::f64::consts::SQRT_2 + 0.5, 10))
+    let (which, others) = smallest_three(normalize(quat.map(f64::from)));
+    others.iter().fold(which as u32, |packed, x| packed << 10 | unorm(x / SQRT_2 + 0.5, 10))
 }
 
 /// The byte whose value is nearest: `8 (n - ½)` with `n = (byte + ½) / 256`, but -4 of 0 and 4 of 255.

@@ -13,10 +13,9 @@ pub struct Codebook {
 }
 
 impl Codebook {
-    /// The values themselves if at most 256 differ. Else numbers whose density is that of the values to the power 1/3,
-    /// which makes the mean square of the errors least, mixed with an even density.
-    ///
-    /// No value errs by more than 1/64 of the range of all.
+    /// The values themselves if at most 256 differ. Else the density of the numbers is the density of the values to the
+    /// power 1/3, mixed with an even density. The first part minimises the mean squared error. The second bounds each
+    /// error by 1/64 of the range of all values.
     ///
     /// Panter and Dite 1951, "Quantization distortion in pulse-count modulation with nonuniform spacing of levels".
     pub fn of(values: impl Iterator<Item = f32>) -> Self {

@@ -9,10 +9,10 @@
 //! |---|---|---|---|---|
 //! | `means` | first | low bytes of `m` for x, y, z | | `means`: `sign(m) (exp(abs(m)) - 1)` |
 //! | | second | high bytes | | |
-//! | `quats` | | `(√2 q / 2 + ½) 255` of the three smallest | 252 + place of the largest | `quats`; order `w, x, y, z` |
+//! | `quats` | | `(√2 q / 2 + ½) 255`, three smallest | 252 + place of the largest | `quats`, `w, x, y, z` |
 //! | `scales` | | places in `codebook` | | `log_scales` |
 //! | `sh0` | | places in `codebook` | opacity, activated | `colors`, as coefficients of degree 0 |
-//! | `shN` | second | low and high byte of a place in the palette of `count` rows | | `sh1` to `sh3`, up to degree `bands` |
+//! | `shN` | second | place in the palette of `count` rows, low and high byte | | `sh1` to `sh3`, up to `bands` |
 //! | | first | places in `codebook`: for each row of the palette its coefficients; 64 rows a line | | |
 //!
 //! A codebook has up to 256 numbers. The 16 bits of `m` divide the range from `mins` to `maxs`. `model` is

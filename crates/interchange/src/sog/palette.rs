@@ -18,7 +18,7 @@ struct Cluster {
     error: f64,
     /// The column along which they differ most, and its mean.
     widest: (usize, f64),
-    /// Of equal errors the first comes first.
+    /// Equal errors keep their order.
     order: usize,
 }
 

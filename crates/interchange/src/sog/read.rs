@@ -76,7 +76,7 @@ struct SogFile<'a> {
     /// Beginning of the names of all entries.
     folder: String,
     meta: Meta,
-    /// Of the Gaussians that are read.
+    /// Layout of the Gaussians after reading.
     layout: Arc<Layout>,
 }
 

@@ -13,17 +13,17 @@ use super::{
     ANTIALIASED, Asset, Coded, FIRST_ROTATION, Harmonics, MAX_PALETTE, MAX_POSITION, MAX_SIDE, META, Means, Meta,
     Quats, ROWS_A_LINE, VERSION, coefficients,
 };
-use crate::stored::sh0_from_color;
+use crate::stored::{harmonics_in_rows, sh0_from_color, smallest_three};
 
-/// Writes the Gaussians of one timestep as a SOG file of version 2 for viewers such as `SuperSplat`, with the harmonics
-/// of their layout, and a mark if they are drawn with antialiasing. Further columns are left out. Equal Gaussians give
-/// equal bytes.
+/// Writes the Gaussians of one timestep as a SOG file of version 2, for viewers such as `SuperSplat`. The file has the
+/// harmonics of their layout, and a mark if they are drawn with antialiasing. Further columns are left out. Equal
+/// Gaussians give equal bytes.
 ///
 /// A coordinate `x` errs by at most `(1 + |x|) / 131070` of the range of `sign(x) ln(1 + |x|)` over all Gaussians, a
-/// component of a rotation by `1 / 361`, an opacity by `1 / 510`. A codebook of 256 numbers holds all log scales, one
-/// all colours, one all harmonics; with at most 256 different values nothing is rounded, else none errs by more than
-/// 1/64 of their range. Beyond 65536 Gaussians similar ones share their harmonics. Images are smaller if neighbours in
-/// space are neighbours in the file ([`space_order`](crate::space_order)); the writer keeps the order.
+/// component of a rotation by `1 / 361`, an opacity by `1 / 510`. Log scales, colours and harmonics have a codebook of
+/// 256 numbers each. Up to 256 different values are not rounded. More than that err by at most 1/64 of their range.
+/// Beyond 65536 Gaussians similar ones share their harmonics. Images are smaller if neighbours in space are neighbours
+/// in the file ([`space_order`](crate::space_order)); the writer keeps the order.
 ///
 /// - `gaussians`: `[N]`, stored form, in the axes of PLY files; at least one
 ///
@@ -79,7 +79,7 @@ pub fn write_sog_to(mut writer: impl Write, gaussians: &Gaussians) -> io::Result
     let bands = gaussians.layout().sh_degree();
     let sh_n = if bands > 0 {
         let width = 3 * coefficients(bands);
-        let palette = palette(&rows(gaussians), width, MAX_PALETTE);
+        let palette = palette(&harmonics_in_rows(gaussians), width, MAX_PALETTE);
         let book = Codebook::of(palette.rows.iter().copied());
         let count = palette.rows.len() / width;
         let centroids = palette.rows.as_chunks::<3>().0.iter().map(|&rgb| places(&book, rgb, 255)).collect();
@@ -161,29 +161,12 @@ fn positions(means: &[[f32; 3]]) -> ([f64; 3], [f64; 3], Vec<[u16; 3]>) {
 
 /// The identity of a rotation without a direction.
 fn rotation(quat: [f32; 4]) -> [u8; 4] {
-    let unit = normalize(quat.map(f64::from));
-    let which = (1..4).fold(0, |which, c| if unit[c].abs() > unit[which].abs() { c } else { which });
-    // Both signs are the same rotation; readers take the largest for positive.
-    let sign = if unit[which] < 0.0 { -1.0 } else { 1.0 };
-    let mut others = (0..4).filter(|&c| c != which).map(|c| sign * unit[c]);
-    let mut next = || ((others.next().unwrap_or(0.0) * SQRT_2 / 2.0 + 0.5) * 255.0).round() as u8;
-    [next(), next(), next(), FIRST_ROTATION + which as u8]
+    let (which, others) = smallest_three(normalize(quat.map(f64::from)));
+    let [a, b, c] = others.map(|x| ((x * SQRT_2 / 2.0 + 0.5) * 255.0).round() as u8);
+    [a, b, c, FIRST_ROTATION + which as u8]
 }
 
 fn places(book: &Codebook, values: [f32; 3], alpha: u8) -> [u8; 4] {
     let [red, green, blue] = values.map(|x| book.place(x));
     [red, green, blue, alpha]
-}
-
-/// The harmonics of each Gaussian: `[N, 3 * coefficients]`, red, green and blue of a coefficient together.
-fn rows(gaussians: &Gaussians) -> Vec<f32> {
-    let bands = gaussians.layout().harmonics();
-    let of_gaussian = |i: usize| {
-        let of_band = move |&band: &tcgs_core::Attribute| {
-            let components = band.components();
-            gaussians.values(band)[i * components..][..components].iter().copied()
-        };
-        bands.iter().flat_map(of_band)
-    };
-    (0..gaussians.num_gaussians()).flat_map(of_gaussian).collect()
 }

@@ -8,7 +8,7 @@ use tcgs_core::{Gaussians, normalize, sigmoid};
 
 use super::{COORDINATE_SYSTEM, HEADER_4, axes_number};
 use crate::axes::Axes;
-use crate::stored::sh0_from_color;
+use crate::stored::{harmonics_in_rows, sh0_from_color, smallest_three};
 
 /// Fractional bits of positions that other programs write.
 const USUAL_BITS: u32 = 12;
@@ -94,39 +94,27 @@ fn arrays(gaussians: &Gaussians, fractional_bits: u32) -> [Vec<u8>; 6] {
         [low, middle, high]
     };
     let color = |&color: &f32| byte((0.15 * f64::from(sh0_from_color(color)) + 0.5) * 255.0);
-    let bands = gaussians.layout().harmonics();
-    let harmonics = (0..gaussians.num_gaussians()).flat_map(|i| {
-        let of_gaussian = bands.iter().flat_map(move |&band| {
-            let components = band.components();
-            &gaussians.values(band)[i * components..][..components]
-        });
-        of_gaussian.map(|&x| byte(f64::from(x) * 128.0 + 128.0))
-    });
+    let harmonics = harmonics_in_rows(gaussians).into_iter().map(|x| byte(f64::from(x) * 128.0 + 128.0));
     [
         gaussians.means().as_flattened().iter().flat_map(position).collect(),
         gaussians.logit_opacities().iter().map(|&o| byte(sigmoid(f64::from(o)) * 255.0)).collect(),
         gaussians.colors().as_flattened().iter().map(color).collect(),
         gaussians.log_scales().as_flattened().iter().map(|&s| byte((f64::from(s) + 10.0) * 16.0)).collect(),
-        gaussians.quats().iter().flat_map(|&quat| smallest_three(quat).to_le_bytes()).collect(),
+        gaussians.quats().iter().flat_map(|&quat| rotation(quat).to_le_bytes()).collect(),
         harmonics.collect(),
     ]
 }
 
-/// The three smaller components of a unit quaternion, and which the largest is. The identity of a rotation without a
-/// direction.
-fn smallest_three(quat: [f32; 4]) -> u32 {
+/// The identity of a rotation without a direction.
+fn rotation(quat: [f32; 4]) -> u32 {
     let [w, x, y, z] = match normalize(quat.map(f64::from)) {
         [0.0, 0.0, 0.0, 0.0] => [1.0, 0.0, 0.0, 0.0],
         unit => unit,
     };
-    let xyzw = [x, y, z, w];
-    let which = (1..4).fold(0, |which, c| if xyzw[c].abs() > xyzw[which].abs() { c } else { which });
-    // Both signs are the same rotation; readers take the largest for positive.
-    let sign = if xyzw[which] < 0.0 { -1.0 } else { 1.0 };
-    (0..4).filter(|&c| c != which).fold(which as u32, |packed, c| {
-        let value = sign * xyzw[c];
-        let size = (value.abs() * 511.0 * SQRT_2).round().min(511.0) as u32;
-        packed << 10 | u32::from(value < 0.0) << 9 | size
+    let (which, others) = smallest_three([x, y, z, w]);
+    others.iter().fold(which as u32, |packed, x| {
+        let size = (x.abs() * 511.0 * SQRT_2).round().min(511.0) as u32;
+        packed << 10 | u32::from(*x < 0.0) << 9 | size
     })
 }
 

@@ -21,7 +21,7 @@ const HALF_STEP: [f64; 3] = [1.0 / 2047.0, 1.0 / 1023.0, 1.0 / 2047.0];
 
 const BOUNDS: Bounds = Bounds {
     mean: HALF_STEP,
-    quat: std::f64::consts::SQRT_2 / 1023.0 / 2.0,
+    quat: SQRT_2 / 1023.0 / 2.0,
     log_scale: HALF_STEP,
     opacity: 0.5 / 255.0,
     color: 0.5 / 255.0,

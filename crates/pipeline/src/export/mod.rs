@@ -1,4 +1,6 @@
-//! A scene for other programs: `params.npz`, files of one timestep and plain floats.
+//! A scene for other programs: `params.npz`, animated USD, files of one timestep and plain floats.
+
+mod identities;
 
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, Write};
@@ -9,10 +11,11 @@ use std::sync::Arc;
 use tcgs_core::{Attribute, Column, Gaussians, Layout, SceneReader};
 use tcgs_interchange::{
     Axes, ParamsExtras, ParamsOrigin, fourdgs_bytes, space_order, write_compressed_ply_to, write_glb_to,
-    write_params_npz_from, write_ply_to, write_sog_to, write_spz_to,
+    write_params_npz_from, write_ply_to, write_sog_to, write_spz_to, write_usda_to,
 };
 use tcgs_train::StandIns;
 
+use self::identities::Identified;
 use crate::observe::tell;
 use crate::{Event, Observer, OpenScene, PipelineError, Work, kept_gaussians};
 
@@ -96,7 +99,7 @@ impl TimestepKind {
 /// The order of the Gaussians in the files of a sequence. The same Gaussians keep it, so that a reader can follow them.
 #[derive(Default)]
 struct FileOrder {
-    /// Of which Gaussians the order is; none if the scene does not say.
+    /// Identities of the ordered Gaussians; none if the scene does not identify them.
     identities: Option<Vec<usize>>,
     order: Vec<usize>,
 }
@@ -331,9 +334,30 @@ impl<'a> Export<'a> {
     pub fn fourdgs(&self, frames: Range<usize>) -> Result<Vec<u8>, PipelineError> {
         self.check_columns("a .4dgs file")?;
         let frames = self.scene.choose_frames(Some(&frames))?;
-        let frame_rate = if self.scene.frame_rate > 0.0 { self.scene.frame_rate } else { 30.0 };
-        fourdgs_bytes(frames.map(|frame| self.gaussians(frame)), frame_rate)?
+        fourdgs_bytes(frames.map(|frame| self.gaussians(frame)), self.frame_rate())?
             .map_err(|problem| PipelineError::input(self.scene.path.display(), problem, "what a .4dgs file can hold"))
+    }
+
+    /// Some frames as an animated USD file in text ([`write_usda_to`]). Row `i` is the same Gaussian at all timesteps,
+    /// if the scene identifies its Gaussians. Outside its life a Gaussian has opacity 0.
+    ///
+    /// # Errors
+    /// As [`Self::timestep`].
+    pub fn usda(&self, frames: Range<usize>) -> Result<impl FnOnce(&File) -> io::Result<()>, PipelineError> {
+        self.check_columns("a USD file")?;
+        let frames = self.scene.choose_frames(Some(&frames))?;
+        let (first, frame_rate) = (frames.start, self.frame_rate());
+        let mut scene = Identified::new(self, frames)?;
+        Ok(move |file: &File| {
+            let mut writer = BufWriter::new(file);
+            write_usda_to(&mut writer, &mut scene, first, frame_rate)?;
+            writer.flush()
+        })
+    }
+
+    /// Timesteps a second; 30 if the scene does not say.
+    fn frame_rate(&self) -> f64 {
+        if self.scene.frame_rate > 0.0 { self.scene.frame_rate } else { 30.0 }
     }
 
     /// Plain floats, bit for bit as they are stored (`docs/FORMAT.md`, "Conformance"). Each frame has all means, quats,
@@ -356,8 +380,9 @@ impl<'a> Export<'a> {
         Ok(self.scene.choose_frames(Some(&frames))?.map(move |frame| self.gaussians(frame).map(bytes)))
     }
 
-    /// Writes one file per frame, named by its number: `000012.ply`. The Gaussians of compressed PLY and SOG files are in
-    /// another order than those of the scene, which is that of the frame before as long as the Gaussians are the same.
+    /// Writes one file per frame, named by its number: `000012.ply`. The Gaussians of compressed PLY and SOG files are
+    /// in another order than those of the scene, which is that of the frame before as long as the Gaussians are the
+    /// same.
     ///
     /// - `folder`: exists; its contents stay
     /// - returns: bytes written
