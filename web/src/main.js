@@ -13,7 +13,8 @@ import { training } from "./training.js";
 import { cards, element, idling, playback, shortcuts, showCard, statistics, toast } from "./ui.js";
 
 const params = readParams(location.search);
-const player = new Player(element("canvas"), params);
+const named = (what) => document.querySelector(`meta[name=tcgs-${what}]`).content;
+const player = new Player(element("canvas"), { ...params, renderer: params.renderer ?? (named("renderer") || null) });
 const file = element("file");
 const choose = () => file.click();
 
@@ -26,7 +27,6 @@ statistics(player);
 viewsMenu(player);
 const { toggleStatistics } = moreMenu(player, { choose, stats: params.stats, theme: params.theme });
 const { toggle: toggleSound } = sound(player);
-const named = (what) => document.querySelector(`meta[name=tcgs-${what}]`).content;
 // Cameras named by the page belong to the scene that the page names.
 const cameras = params.cameras ?? (params.src === null ? named("cameras") : "");
 const { toggle: toggleFrusta } = frusta(player, cameras || null, params.view === null);
@@ -98,6 +98,7 @@ window.addEventListener("drop", (event) => {
   take(event.dataTransfer.files[0]);
 });
 
-const source = params.src ?? named("src");
+// A page that is one file has the scene in it.
+const source = params.src ?? globalThis.tcgsScene ?? named("src");
 if (source) player.open(source, params.timestep);
 else if (!train) showCard("welcome");

@@ -10,6 +10,7 @@ import { mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "nod
 import { tmpdir } from "node:os";
 import { dirname, join } from "node:path";
 import { after, before, test } from "node:test";
+import { pathToFileURL } from "node:url";
 
 import { compare, drop, launch, plyOfSpheres, serve, settled } from "./support.mjs";
 
@@ -423,6 +424,25 @@ test("where WebGPU finds no graphics card, WebGL2 draws, and a line says so", as
   await said(page, "WebGPU finds no graphics card: drawing with WebGL2 now");
   await loaded(page);
   assert.equal(await renderer(page), "WebGL2");
+});
+
+test("a page that is one file opens from a disk, and loads nothing", async (t) => {
+  const file = join(scratch, "scene.html");
+  execFileSync(TCGS, ["export", TINY, "--to", file], { stdio: ["ignore", "ignore", "inherit"] });
+  const expected = await settled(await loaded(await open(t, `${EXACT}&renderer=webgl2`, { webgpu: false })));
+  const address = pathToFileURL(file).href;
+  for (const webgpu of [true, false]) {
+    const asked = [];
+    const prepare = (context) => context.on("request", (request) => asked.push(request.url()));
+    const page = await loaded(await open(t, `${EXACT}&stats=1`, { from: { address }, webgpu, prepare }));
+    assert.equal(await page.textContent("#stat-renderer"), "WebGL2");
+    assert.match(await page.title(), /^room/);
+    assert.deepEqual(asked.filter((url) => !/^(blob|data):/.test(url)), [`${address}?${EXACT}&stats=1`]);
+    await page.keyboard.press("i");
+    const { near } = await compare(page, await settled(page), expected);
+    assert.equal(near, 1);
+    await shot(page, "one-file");
+  }
 });
 
 test("a graphics card that is lost is not the end", async (t) => {
