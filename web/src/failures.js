@@ -4,11 +4,7 @@
 const FAILURES = {
   "no-webgpu": {
     title: "This browser cannot draw the scene",
-    text: "The player needs WebGPU. Chrome and Edge have it from version 113 on, Safari from 26, Firefox from 141 on Windows and 145 on Macs with Apple silicon. On Linux it may have to be switched on (chrome://flags, “Unsafe WebGPU Support”).",
-  },
-  insecure: {
-    title: "This address cannot draw the scene",
-    text: "Browsers offer WebGPU on secure pages alone: open this page by https, or from your own machine as localhost.",
+    text: "The player needs WebGPU or WebGL2, and neither works here. All browsers of the last years have WebGL2. The browser's settings may switch it off (“hardware acceleration”), or the driver of the graphics card is too old.",
   },
   "not-tcgs": {
     title: "This is not a .tcgs scene",
@@ -40,7 +36,7 @@ const FAILURES = {
   },
   "device-lost": {
     title: "The graphics card stopped answering",
-    text: "The system took it away from this page, as happens after sleep or a driver update. Reload the page.",
+    text: "Neither WebGPU nor WebGL2 works any more on this page. Reload the page.",
   },
 };
 
@@ -51,8 +47,7 @@ const UNKNOWN = { title: "Something went wrong", text: "The player met an error 
  * @returns {{code: string, title: string, text: string, detail: string}}
  */
 export function explain(error) {
-  let code = error?.code ?? "unknown";
-  if (code === "no-webgpu" && !globalThis.isSecureContext) code = "insecure";
+  const code = error?.code ?? "unknown";
   const known = Object.hasOwn(FAILURES, code) ? FAILURES[code] : UNKNOWN;
   return { code, ...known, detail: String(error?.message ?? error) };
 }

@@ -23,7 +23,7 @@ const HELD = {
 };
 
 /** @param {import("./player.js").Player} player */
-export function listenForMoves(canvas, player) {
+export function listenForPointers(canvas, player) {
   dragging(canvas, player);
   canvas.addEventListener(
     "wheel",
@@ -36,7 +36,6 @@ export function listenForMoves(canvas, player) {
     { passive: false },
   );
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-  holding(player);
 }
 
 function dragging(canvas, player) {
@@ -76,7 +75,8 @@ function spread(pointers) {
   return b ? Math.hypot(a.x - b.x, a.y - b.y) : 0;
 }
 
-function holding(player) {
+/** @param {import("./player.js").Player} player */
+export function listenForHeldKeys(player) {
   const held = new Set();
   let last = null;
   const tick = (now) => {

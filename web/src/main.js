@@ -4,7 +4,7 @@ import { pathFromJson } from "./camera_path.js";
 import { listenToEmbedder } from "./embed.js";
 import { explain } from "./failures.js";
 import { frusta } from "./frusta.js";
-import { listenForMoves } from "./input.js";
+import { listenForHeldKeys, listenForPointers } from "./input.js";
 import { addToPath, moreMenu, saveStill, showHelp, viewsMenu } from "./menus.js";
 import { readParams } from "./params.js";
 import { Player } from "./player.js";
@@ -13,7 +13,8 @@ import { training } from "./training.js";
 import { cards, element, idling, playback, shortcuts, showCard, statistics, toast } from "./ui.js";
 
 const params = readParams(location.search);
-const player = new Player(element("canvas"), params);
+const named = (what) => document.querySelector(`meta[name=tcgs-${what}]`).content;
+const player = new Player(element("canvas"), { ...params, renderer: params.renderer ?? (named("renderer") || null) });
 const file = element("file");
 const choose = () => file.click();
 
@@ -26,14 +27,15 @@ statistics(player);
 viewsMenu(player);
 const { toggleStatistics } = moreMenu(player, { choose, stats: params.stats, theme: params.theme });
 const { toggle: toggleSound } = sound(player);
-const named = (what) => document.querySelector(`meta[name=tcgs-${what}]`).content;
 // Cameras named by the page belong to the scene that the page names.
 const cameras = params.cameras ?? (params.src === null ? named("cameras") : "");
 const { toggle: toggleFrusta } = frusta(player, cameras || null, params.view === null);
 // The page's training, unless the address names another scene.
 const train = params.src === null && named("train");
 const { toggle: toggleCurves } = train ? training(player, train, params) : { toggle: () => {} };
-listenForMoves(element("canvas"), player);
+listenForPointers(element("canvas"), player);
+player.addEventListener("canvas", ({ detail }) => listenForPointers(detail, player));
+listenForHeldKeys(player);
 idling(player);
 shortcuts(player, {
   camera: (index) => index < player.info.cameras.length && player.useCamera(index),
@@ -50,6 +52,7 @@ shortcuts(player, {
 listenToEmbedder(player);
 
 player.addEventListener("lost", () => toast("The camera path breaks off here"));
+player.addEventListener("fallback", ({ detail }) => toast(`${detail}: drawing with ${player.renderer} now`));
 
 /** Only the first scene starts at the view that the address names. */
 let starting = true;
@@ -71,7 +74,7 @@ async function take(chosen) {
     return;
   }
   try {
-    player.setPath(pathFromJson(await chosen.text()));
+    player.setPath(pathFromJson(await chosen.text(), player.newPath()));
     toast(`Following ${chosen.name}`);
   } catch (error) {
     toast(error instanceof SyntaxError ? "This file is no JSON" : error.code ? explain(error).text : error.message);
@@ -95,6 +98,7 @@ window.addEventListener("drop", (event) => {
   take(event.dataTransfer.files[0]);
 });
 
-const source = params.src ?? named("src");
+// A page that is one file has the scene in it.
+const source = params.src ?? globalThis.tcgsScene ?? named("src");
 if (source) player.open(source, params.timestep);
 else if (!train) showCard("welcome");

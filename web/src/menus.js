@@ -1,7 +1,6 @@
 // The menu of views and camera paths, and the menu of rarely needed commands.
 
 import { pathToJson } from "./camera_path.js";
-import { CameraPath } from "./engine/tcgs_play.js";
 import { element, nameOf, save, toast } from "./ui.js";
 
 /** @param {import("./player.js").Player} player */
@@ -9,7 +8,7 @@ export function viewsMenu(player) {
   element("reset").addEventListener("click", () => player.reset());
   element("path-add").addEventListener("click", () => addToPath(player));
   element("path-follow").addEventListener("click", () => player.follow(!player.following));
-  element("path-clear").addEventListener("click", () => player.setPath(new CameraPath()));
+  element("path-clear").addEventListener("click", () => player.setPath(player.newPath()));
   element("path-save").addEventListener("click", () => {
     save("camera-path.json", new Blob([pathToJson(player.path)], { type: "application/json" }));
   });

@@ -25,6 +25,8 @@ export function readParams(query) {
     theme: ["light", "dark"].includes(theme) ? theme : null,
     /** "fixed": every pixel is drawn, however long that takes. */
     quality: given.get("quality") === "fixed" ? "fixed" : "auto",
+    /** The only renderer to try; null: the better one that works. */
+    renderer: ["webgpu", "webgl2"].includes(given.get("renderer")) ? given.get("renderer") : null,
     /** Device pixels per CSS pixel; null: as the screen has. */
     dpr: number(given.get("dpr"), 0.1, 8, null),
   };

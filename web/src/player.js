@@ -1,7 +1,7 @@
 // Drives the engine on a canvas: decides when a frame is drawn and at how many pixels, and sends events to the other
 // modules.
 
-import init, { CameraPath, Viewer } from "./engine/tcgs_play.js";
+import { PATIENCE_MS, freshCanvas, startEngine } from "./engine.js";
 import { AdaptiveResolution } from "./resolution.js";
 
 /** Milliseconds after the last change until all pixels are drawn. */
@@ -12,11 +12,14 @@ const STILL_FRAMES = 3;
 const MAX_ATTACHED = 1 << 26;
 /** Frames by which the GPU may lag while something moves. */
 const MAX_PENDING = 1;
+/** Times that the player goes on with another engine. */
+const MAX_RESTARTS = 2;
 
 /**
  * Events: `opening`, `progress` (`detail`: bytes loaded), `load` (the first picture of a scene can be drawn), `replace`
  * (the same for a scene that replaces another), `frame` (a frame was drawn; its state is `player.state`), `change` (of
  * settings, of playing, or of the path), `lost` (the path has no camera at the timestep and is no longer followed),
+ * `canvas` (`detail`: the canvas that is drawn on from now on), `fallback` (WebGPU does not draw; `detail` says why),
  * `failure` (`detail`: the error).
  */
 export class Player extends EventTarget {
@@ -34,11 +37,16 @@ export class Player extends EventTarget {
   state = null;
   /** Frames drawn in the last second; null while nothing moves. */
   rate = null;
+  /** What draws: `WebGPU`, `WebGL2`; null before the first scene. */
+  renderer = null;
 
   #canvas;
   #options;
+  #observer;
   #viewer = null;
+  #CameraPath = null;
   #starting = null;
+  #restarts = 0;
   #opening = false;
   #replacing = false;
   /** Number of calls of `open`: a scene that is replaced while opening is dropped. */
@@ -49,22 +57,24 @@ export class Player extends EventTarget {
   /** Number of frames drawn at all pixels since the last change. */
   #still = 0;
   #last = null;
+  /** Time of the last call of the engine that draws. */
+  #drawn = 0;
   /** Size requested of the engine. It sets the canvas to this size, or to the largest that the device allows. */
   #size = [0, 0];
   #times = [];
   #stopped = false;
   #capturing = false;
 
-  /** @param {{quality: "auto" | "fixed", dpr: number | null}} options */
+  /** @param {{quality: "auto" | "fixed", dpr: number | null, renderer: "webgpu" | "webgl2" | null}} options */
   constructor(canvas, options) {
     super();
     this.#canvas = canvas;
     this.#options = options;
-    const observer = new ResizeObserver(() => {
+    this.#observer = new ResizeObserver(() => {
       this.#resolution.forget();
       this.touch();
     });
-    observer.observe(canvas);
+    this.#observer.observe(canvas);
     requestAnimationFrame(this.#tick);
   }
 
@@ -96,7 +106,7 @@ export class Player extends EventTarget {
       if (turn !== this.#turn) return false;
       this.#opening = false;
       this.info = viewer.info();
-      this.path = new CameraPath();
+      this.path = this.newPath();
       viewer.setLoop(this.loop);
       viewer.setSpeed(this.speed);
       this.#resolution.forget();
@@ -104,8 +114,7 @@ export class Player extends EventTarget {
       this.#tell("load");
       return true;
     } catch (error) {
-      if (turn === this.#turn) this.#fail(error);
-      return false;
+      return turn === this.#turn && this.#fail(error);
     }
   }
 
@@ -137,21 +146,76 @@ export class Player extends EventTarget {
       this.#tell("replace");
       return true;
     } catch (error) {
-      if (turn === this.#turn) this.#fail(error);
-      return false;
+      return turn === this.#turn && this.#fail(error);
     }
   }
 
-  /** Starts the engine once. A device that was lost is not started again without a reload of the page. */
-  #start() {
+  /** Starts the engine once. @param {"webgpu" | "webgl2" | null} wanted */
+  #start(wanted = this.#options.renderer) {
     this.#starting ??= (async () => {
-      if (!navigator.gpu) throw Object.assign(new Error("navigator.gpu is missing"), { code: "no-webgpu" });
-      await init();
-      this.#viewer = await Viewer.create(this.#canvas);
-      return this.#viewer;
+      const { viewer, CameraPath, name, canvas, reason } = await startEngine(this.#canvas, wanted);
+      this.#viewer = viewer;
+      this.#CameraPath = CameraPath;
+      this.renderer = name;
+      this.#use(canvas);
+      if (reason) this.#tell("fallback", reason);
+      return viewer;
     })();
     this.#starting.catch(() => (this.#starting = null));
     return this.#starting;
+  }
+
+  #use(canvas) {
+    if (canvas === this.#canvas) return;
+    this.#observer.unobserve(this.#canvas);
+    this.#observer.observe(canvas);
+    this.#canvas = canvas;
+    this.#size = [0, 0];
+    this.touch();
+    this.#tell("canvas", canvas);
+  }
+
+  /**
+   * Goes on with WebGL2 after the engine has lost the graphics card: the same scene, camera, path, frame and playing.
+   * Resolves as `open` does.
+   */
+  async #goOn(error) {
+    const turn = ++this.#turn;
+    const [lost, { info, state, keyframes, following, renderer }] = [this.#viewer, this];
+    const camera = info && !this.#replacing ? lost.camera() : null;
+    this.#opening = false;
+    this.#replacing = true;
+    this.#starting = null;
+    try {
+      this.#use(freshCanvas(this.#canvas));
+      const viewer = await this.#start("webgl2");
+      const source = typeof this.#source === "string" ? addressOf(this.#source) : this.#source;
+      await viewer.open(source, state?.timestep ?? 0);
+      if (turn !== this.#turn) return false;
+      this.info = viewer.info();
+      this.path = this.newPath();
+      for (const { timestep, camera } of keyframes) this.path.insert(timestep, camera);
+      this.following = following;
+      viewer.setLoop(this.loop);
+      viewer.setSpeed(this.speed);
+      if (camera) viewer.setCamera(camera);
+      if (state?.playing) viewer.play();
+      this.#replacing = false;
+      this.#last = null;
+      this.touch();
+      this.#tell("fallback", `${renderer} has lost the graphics card`);
+      this.#tell(info ? "replace" : "load");
+      return true;
+    } catch (second) {
+      if (turn !== this.#turn) return false;
+      this.#stopped = true;
+      return this.#fail(Object.assign(new Error(`${error.message}; ${second.message}`), { code: "device-lost" }));
+    }
+  }
+
+  /** A camera path without keyframes, once the engine has started. */
+  newPath() {
+    return new this.#CameraPath();
   }
 
   get playing() {
@@ -232,7 +296,6 @@ export class Player extends EventTarget {
     this.#tell("change");
   }
 
-  /** @param {CameraPath} path */
   setPath(path) {
     this.path = path;
     this.follow(this.keyframes.length > 0);
@@ -295,11 +358,18 @@ export class Player extends EventTarget {
     this.dispatchEvent(new CustomEvent(type, { detail }));
   }
 
-  #fail(error) {
+  /** Resolves to whether the player goes on. */
+  async #fail(error) {
+    const isLost = error?.code === "device-lost";
+    if (isLost && !this.#stopped && this.#options.renderer !== "webgpu" && this.#restarts < MAX_RESTARTS) {
+      this.#restarts += 1;
+      return this.#goOn(error);
+    }
     this.info = null;
     this.#opening = this.#replacing = false;
-    if (error?.code === "device-lost") this.#stopped = true;
+    if (isLost) this.#stopped = true;
     this.#tell("failure", error);
+    return false;
   }
 
   #tick = (now) => {
@@ -309,7 +379,7 @@ export class Player extends EventTarget {
     if (!this.info || this.#replacing) return;
     const incomplete = this.state === null || this.state.buffering || !this.state.drawn;
     const moving = incomplete || this.playing || now - this.#changed < SETTLE_MS;
-    if (this.#viewer.pending() > (moving ? MAX_PENDING : 0)) return;
+    if (this.#viewer.pending() > (moving ? MAX_PENDING : 0)) return this.#wait(now);
     if (!moving && this.#still >= STILL_FRAMES) return this.#rest();
     const fixed = this.#options.quality === "fixed" || this.#capturing;
     if (!fixed && moving && this.#last !== null) this.#resolution.frame(now - this.#last);
@@ -321,12 +391,24 @@ export class Player extends EventTarget {
 
   /** Calls the engine while a scene opens, so that it takes the bytes that have arrived, and reports their number. */
   #watch(now) {
-    if (this.#viewer.pending() > 0) return;
+    if (this.#viewer.pending() > 0) return this.#wait(now);
+    this.#drawn = now;
     try {
       this.#tell("progress", this.#viewer.frame(now).bytesLoaded);
     } catch (error) {
       this.#fail(error);
     }
+  }
+
+  /** Notices that the graphics card is gone while a frame is not finished. */
+  #wait(now) {
+    try {
+      this.#viewer.check();
+      if (now - this.#drawn < PATIENCE_MS) return;
+    } catch (error) {
+      return this.#fail(error);
+    }
+    this.#fail(Object.assign(new Error(`${this.renderer} does not answer`), { code: "device-lost" }));
   }
 
   /** Stops drawing to save power: nothing moves and the picture is complete. */
@@ -341,6 +423,7 @@ export class Player extends EventTarget {
   }
 
   #draw(now) {
+    this.#drawn = now;
     if (this.following && this.state) {
       const { width, height } = this.#canvas;
       try {

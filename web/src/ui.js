@@ -75,7 +75,7 @@ export function cards(player, { choose }) {
     element("failure-detail").textContent = failure.detail;
     const again = ["network", "truncated", "device-lost", "unknown"].includes(failure.code);
     element("failure-retry").hidden = !again;
-    element("failure-open").hidden = ["no-webgpu", "insecure", "device-lost"].includes(failure.code);
+    element("failure-open").hidden = ["no-webgpu", "device-lost"].includes(failure.code);
     document.body.classList.remove("has-scene", "idle");
     for (const id of ["dock", "name", "credits", "stats"]) element(id).hidden = true;
     showCard("failure");
@@ -203,6 +203,7 @@ export function statistics(player) {
     if (element("stats").hidden || (player.rate !== null && now - last < 250)) return;
     last = now;
     const { gaussians, bytesLoaded, width, height } = player.state;
+    element("stat-renderer").textContent = player.renderer;
     element("stat-rate").textContent = player.rate === null ? "resting" : player.rate.toFixed(0);
     element("stat-drawn").textContent = gaussians.toLocaleString("en").replaceAll(",", "\u202f"); // thin spaces
     element("stat-bytes").textContent = `${showBytes(bytesLoaded)} of ${showBytes(player.info.bytes)}`;

@@ -10,6 +10,7 @@ import { mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "nod
 import { tmpdir } from "node:os";
 import { dirname, join } from "node:path";
 import { after, before, test } from "node:test";
+import { pathToFileURL } from "node:url";
 
 import { compare, drop, launch, plyOfSpheres, serve, settled } from "./support.mjs";
 
@@ -21,16 +22,19 @@ const EXACT = "quality=fixed&dpr=1&autoplay=0";
 /** Timeout of everything that waits: machines that run tests are slow and busy. */
 const PATIENCE_MS = 240_000;
 
-let browser, server, tiny, scratch;
+/** In `plain` WebGPU finds no graphics card. */
+let browser, plain, server, tiny, scratch;
 
 before(async () => {
   scratch = mkdtempSync(join(tmpdir(), "tcgs-web-"));
   if (SHOTS) mkdirSync(SHOTS, { recursive: true });
-  [browser, server, tiny] = await Promise.all([launch(), serve(TCGS, SCENE), serve(TCGS, TINY)]);
+  const starts = [launch(), launch({ webgpu: false }), serve(TCGS, SCENE), serve(TCGS, TINY)];
+  [browser, plain, server, tiny] = await Promise.all(starts);
 });
 
 after(async () => {
   await browser?.close();
+  await plain?.close();
   server?.stop();
   tiny?.stop();
   rmSync(scratch, { recursive: true, force: true });
@@ -38,11 +42,11 @@ after(async () => {
 
 /**
  * Opens the page. An error in its scripts fails the test. `standIn`: with the stand-in for the engine, which is fast.
- * `prepare`: gets the browser's context before the page is opened.
+ * `prepare`: gets the browser's context before the page is opened. `webgpu`: whether it works; "missing": not even known.
  */
-async function open(t, query = EXACT, { from = tiny, script, standIn = false, prepare, ...options } = {}) {
+async function open(t, query = EXACT, { from = tiny, script, standIn = false, prepare, webgpu = true, ...options } = {}) {
   const viewport = { width: 480, height: 300 };
-  const context = await browser.newContext({ viewport, colorScheme: "dark", reducedMotion: "reduce", ...options });
+  const context = await (webgpu === true ? browser : plain).newContext({ viewport, colorScheme: "dark", reducedMotion: "reduce", ...options });
   context.setDefaultTimeout(PATIENCE_MS);
   await prepare?.(context);
   const page = await context.newPage();
@@ -54,7 +58,10 @@ async function open(t, query = EXACT, { from = tiny, script, standIn = false, pr
     assert.deepEqual(errors.filter((error) => !error.includes("404 (Not Found)")), []);
   });
   if (script) await page.addInitScript(script);
-  if (standIn) await page.route("**/engine/tcgs_play.js", (route) => route.fulfill({ path: ENGINE, contentType: "text/javascript" }));
+  if (webgpu === "missing") {
+    await page.addInitScript(() => Object.defineProperty(Navigator.prototype, "gpu", { get: () => undefined }));
+  }
+  if (standIn) await page.route("**/engine*/tcgs_play.js", (route) => route.fulfill({ path: ENGINE, contentType: "text/javascript" }));
   await page.goto(`${from.address}${query.includes("html") ? query : `?${query}`}`);
   return page;
 }
@@ -201,88 +208,95 @@ test("a finger turns, two fingers zoom, on a phone on which everything fits", as
   await shot(page, "phone-views");
 });
 
-test("what shows is what tcgs renders, at views and between them", async (t) => {
-  const page = await loaded(await open(t, `${EXACT}&controls=0`, { from: server, viewport: { width: 320, height: 240 } }));
-  // A path as a person makes it: views from three sides at three times, saved to a file.
-  const turn = async (dx, dy) => {
+/** The page's picture is that of `tcgs render`. @param {boolean} webgpu whether the browser has it */
+async function agree(t, page, found, expected, what, { webgpu, covers }) {
+  const { near, far, mean, covered } = await compare(page, found, expected);
+  t.diagnostic(`${what}: ${mean.toFixed(3)} of 255 on average, ${(100 * far).toFixed(3)} % of the pixels off by more than 8, ${(100 * covered).toFixed(0)} % covered`);
+  assert.ok(covered >= covers, `${what}: the scene covers ${covered}`);
+  if (webgpu) assert.ok(near >= 0.99, `${what}: ${near} of the pixels within 3`);
+  assert.ok(mean <= 1 && far <= 0.001, `${what}: ${mean} on average, ${far} far`);
+}
+
+for (const [renderer, webgpu] of Object.entries({ WebGPU: true, WebGL2: false })) {
+  test(`what ${renderer} shows is what tcgs renders, at views and between them`, async (t) => {
+    const options = { from: server, viewport: { width: 320, height: 240 }, webgpu };
+    const page = await loaded(await open(t, `${EXACT}&controls=0`, options));
+    // A path as a person makes it: views from three sides at three times, saved to a file.
+    const turn = async (dx, dy) => {
+      await page.mouse.move(150, 120);
+      await page.mouse.down();
+      await page.mouse.move(150 + dx, 120 + dy);
+      await page.mouse.up();
+    };
+    await page.keyboard.press("k");
+    await goTo(page, 6);
+    await turn(50, 10);
+    await page.keyboard.press("k");
+    await goTo(page, 14);
+    await turn(40, -25);
+    await page.mouse.wheel(0, -120);
+    await page.keyboard.press("k");
+    const file = join(scratch, "camera-path.json");
+    const download = page.waitForEvent("download");
+    await page.evaluate(() => document.querySelector("#path-save").click());
+    await (await download).saveAs(file);
+    const path = JSON.parse(readFileSync(file, "utf8"));
+    assert.deepEqual(path.cameras.map((camera) => camera.timestep), [0, 6, 14]);
+    assert.deepEqual([path.cameras[0].width, path.cameras[0].height], [320, 240]);
+
+    // A path that is dropped on the page is followed.
+    await drop(page, "camera-path.json", readFileSync(file));
+    await page.waitForFunction(() => !document.querySelector("#toast").classList.contains("shown"));
+    const expected = rendered(file, "320x240");
+    for (const timestep of [0, 3, 6, 20]) {
+      const found = await goTo(page, timestep);
+      if (SHOTS) writeFileSync(join(SHOTS, `path-${renderer}-${timestep}.png`), found);
+      await agree(t, page, found, expected(timestep), `timestep ${timestep}`, { webgpu, covers: 0.5 });
+    }
+
+    // A still shows what the page shows.
+    const still = page.waitForEvent("download");
+    await page.keyboard.press("p");
+    const saved = await still;
+    assert.match(saved.suggestedFilename(), /-0021\.png$/);
+    await saved.saveAs(join(scratch, "still.png"));
+    await agree(t, page, readFileSync(join(scratch, "still.png")), expected(20), "the still", { webgpu, covers: 0.5 });
+  });
+
+  test(`Gaussians of another program that shine, come and go show in ${renderer} as tcgs renders them`, async (t) => {
+    const folder = mkdtempSync(join(scratch, "plys-"));
+    const counts = [500, 560, 530, 500];
+    counts.forEach((count, timestep) => writeFileSync(join(folder, `${timestep}.ply`), plyOfSpheres(count, timestep)));
+    const scene = join(scratch, `of-plys-${renderer}.tcgs`);
+    execFileSync(TCGS, ["compress", folder, "--out", scene], { stdio: ["ignore", "ignore", "inherit"] });
+    const server = await serve(TCGS, scene);
+    t.after(() => server.stop());
+    const options = { from: server, viewport: { width: 320, height: 240 }, webgpu };
+    const page = await loaded(await open(t, `${EXACT}&controls=0`, options));
+    await page.keyboard.press("k");
     await page.mouse.move(150, 120);
     await page.mouse.down();
-    await page.mouse.move(150 + dx, 120 + dy);
+    await page.mouse.move(230, 140);
     await page.mouse.up();
-  };
-  await page.keyboard.press("k");
-  await goTo(page, 6);
-  await turn(50, 10);
-  await page.keyboard.press("k");
-  await goTo(page, 14);
-  await turn(40, -25);
-  await page.mouse.wheel(0, -120);
-  await page.keyboard.press("k");
-  const file = join(scratch, "camera-path.json");
-  const download = page.waitForEvent("download");
-  await page.evaluate(() => document.querySelector("#path-save").click());
-  await (await download).saveAs(file);
-  const path = JSON.parse(readFileSync(file, "utf8"));
-  assert.deepEqual(path.cameras.map((camera) => camera.timestep), [0, 6, 14]);
-  assert.deepEqual([path.cameras[0].width, path.cameras[0].height], [320, 240]);
-
-  // A path that is dropped on the page is followed.
-  await drop(page, "camera-path.json", readFileSync(file));
-  await page.waitForFunction(() => !document.querySelector("#toast").classList.contains("shown"));
-  const expected = rendered(file, "320x240");
-  for (const timestep of [0, 3, 6, 20]) {
-    const found = await goTo(page, timestep);
-    if (SHOTS) writeFileSync(join(SHOTS, `path-${timestep}.png`), found);
-    const { near, covered } = await compare(page, found, expected(timestep));
-    assert.ok(covered >= 0.5, `timestep ${timestep}: the scene covers ${covered}`);
-    assert.ok(near >= 0.99, `timestep ${timestep}: ${near} of the pixels within 3`);
-    t.diagnostic(`timestep ${timestep}: ${(100 * near).toFixed(2)} % of the pixels within 3, ${(100 * covered).toFixed(0)} % covered`);
-  }
-
-  // A still shows what the page shows.
-  const still = page.waitForEvent("download");
-  await page.keyboard.press("p");
-  const saved = await still;
-  assert.match(saved.suggestedFilename(), /-0021\.png$/);
-  await saved.saveAs(join(scratch, "still.png"));
-  const { near } = await compare(page, readFileSync(join(scratch, "still.png")), expected(20));
-  assert.ok(near >= 0.99, `the still: ${near}`);
-});
-
-test("Gaussians of another program that shine, come and go show as tcgs renders them", async (t) => {
-  const folder = mkdtempSync(join(scratch, "plys-"));
-  const counts = [500, 560, 530, 500];
-  counts.forEach((count, timestep) => writeFileSync(join(folder, `${timestep}.ply`), plyOfSpheres(count, timestep)));
-  const scene = join(scratch, "of-plys.tcgs");
-  execFileSync(TCGS, ["compress", folder, "--out", scene], { stdio: ["ignore", "ignore", "inherit"] });
-  const server = await serve(TCGS, scene);
-  t.after(() => server.stop());
-  const page = await loaded(await open(t, `${EXACT}&controls=0`, { from: server, viewport: { width: 320, height: 240 } }));
-  await page.keyboard.press("k");
-  await page.mouse.move(150, 120);
-  await page.mouse.down();
-  await page.mouse.move(230, 140);
-  await page.mouse.up();
-  await goTo(page, 3);
-  await page.keyboard.press("k");
-  const file = join(scratch, "around.json");
-  const download = page.waitForEvent("download");
-  await page.evaluate(() => document.querySelector("#path-save").click());
-  await (await download).saveAs(file);
-  await drop(page, "around.json", readFileSync(file));
-  await page.waitForFunction(() => !document.querySelector("#toast").classList.contains("shown"));
-  const expected = rendered(file, "320x240", scene);
-  for (const timestep of [0, 1, 2, 3, 1]) {
-    const found = await goTo(page, timestep);
-    if (SHOTS) writeFileSync(join(SHOTS, `of-plys-${timestep}.png`), found);
-    const { near, covered } = await compare(page, found, expected(timestep));
-    assert.ok(covered >= 0.2, `timestep ${timestep}: the scene covers ${covered}`);
-    assert.ok(near >= 0.99, `timestep ${timestep}: ${near} of the pixels within 3`);
-  }
-  // What moves and what comes, and from where it is seen, is to be seen.
-  const { near } = await compare(page, expected(0), expected(3));
-  assert.ok(near < 0.9, `timesteps 0 and 3: ${near} alike`);
-});
+    await goTo(page, 3);
+    await page.keyboard.press("k");
+    const file = join(scratch, "around.json");
+    const download = page.waitForEvent("download");
+    await page.evaluate(() => document.querySelector("#path-save").click());
+    await (await download).saveAs(file);
+    await drop(page, "around.json", readFileSync(file));
+    await page.waitForFunction(() => !document.querySelector("#toast").classList.contains("shown"));
+    const expected = rendered(file, "320x240", scene);
+    for (const timestep of [0, 1, 2, 3, 1]) {
+      const found = await goTo(page, timestep);
+      if (SHOTS) writeFileSync(join(SHOTS, `of-plys-${renderer}-${timestep}.png`), found);
+      await agree(t, page, found, expected(timestep), `timestep ${timestep}`, { webgpu, covers: 0.2 });
+    }
+    // What moves and what comes, and from where it is seen, is to be seen.
+    const { near } = await compare(page, expected(0), expected(3));
+    assert.ok(near < 0.9, `timesteps 0 and 3: ${near} alike`);
+  });
+}
 
 test("credits show, frames come at their times, and a sound plays along", async (t) => {
   const file = (name, content) => {
@@ -359,11 +373,121 @@ test("bad files are told apart, and a good one opens after them", async (t) => {
   assert.ok(!(await page.isVisible("#failure")) && (await page.isVisible("#dock")));
 });
 
-test("a browser without WebGPU is told which ones have it", async (t) => {
-  const script = () => Object.defineProperty(Navigator.prototype, "gpu", { get: () => undefined });
-  const page = await open(t, EXACT, { script });
+test("a scene without antialiasing shows in WebGL2 as tcgs renders it", async (t) => {
+  const scene = new URL("../../docs/site/scenes/kitchen.tcgs", import.meta.url).pathname;
+  const server = await serve(TCGS, scene);
+  t.after(() => server.stop());
+  const options = { from: server, viewport: { width: 320, height: 240 }, webgpu: false };
+  const page = await loaded(await open(t, `${EXACT}&controls=0`, options));
+  await page.keyboard.press("k");
+  const file = join(scratch, "kitchen.json");
+  const download = page.waitForEvent("download");
+  await page.evaluate(() => document.querySelector("#path-save").click());
+  await (await download).saveAs(file);
+  const expected = rendered(file, "320x240", scene);
+  for (const timestep of [0, 9]) {
+    await agree(t, page, await goTo(page, timestep), expected(timestep), `timestep ${timestep}`, { webgpu: false, covers: 0.9 });
+  }
+});
+
+const renderer = async (page) => {
+  if (!(await page.isVisible("#stats"))) await page.keyboard.press("i");
+  return page.textContent("#stat-renderer");
+};
+/** Paths of the modules of WebAssembly that a page asks for. */
+const modules = (page) => {
+  const asked = [];
+  page.on("request", (request) => /engine/.test(request.url()) && asked.push(new URL(request.url()).pathname));
+  return asked;
+};
+const said = (page, text) => page.waitForFunction((t) => document.querySelector("#toast").textContent.includes(t), text);
+
+test("a page loads one renderer: the better one that works, or the one of its address", async (t) => {
+  for (const [query, webgpu, name, folder] of [
+    [EXACT, true, "WebGPU", "engine"],
+    [EXACT, "missing", "WebGL2", "engine-webgl2"],
+    [`${EXACT}&renderer=webgl2`, true, "WebGL2", "engine-webgl2"],
+  ]) {
+    const asked = [];
+    const prepare = (context) => context.on("page", (page) => asked.push(modules(page)));
+    const page = await loaded(await open(t, `${query}&stats=1`, { webgpu, prepare }));
+    assert.equal(await renderer(page), name);
+    assert.deepEqual([...new Set(asked[0].map((path) => path.split("/").at(-2)).filter((f) => f.startsWith("engine")))], [folder]);
+    assert.equal(await page.textContent("#toast"), "", "nothing went wrong");
+  }
+  const page = await open(t, `${EXACT}&renderer=webgpu`, { webgpu: false });
+  await page.waitForSelector("#failure[data-code=no-webgpu]:not([hidden])");
+});
+
+test("where WebGPU finds no graphics card, WebGL2 draws, and a line says so", async (t) => {
+  const page = await open(t, EXACT, { webgpu: false });
+  await said(page, "WebGPU finds no graphics card: drawing with WebGL2 now");
+  await loaded(page);
+  assert.equal(await renderer(page), "WebGL2");
+});
+
+test("a page that is one file opens from a disk, and loads nothing", async (t) => {
+  const file = join(scratch, "scene.html");
+  execFileSync(TCGS, ["export", TINY, "--to", file], { stdio: ["ignore", "ignore", "inherit"] });
+  const expected = await settled(await loaded(await open(t, `${EXACT}&renderer=webgl2`, { webgpu: false })));
+  const address = pathToFileURL(file).href;
+  for (const webgpu of [true, false]) {
+    const asked = [];
+    const prepare = (context) => context.on("request", (request) => asked.push(request.url()));
+    const page = await loaded(await open(t, `${EXACT}&stats=1`, { from: { address }, webgpu, prepare }));
+    assert.equal(await page.textContent("#stat-renderer"), "WebGL2");
+    assert.match(await page.title(), /^room/);
+    assert.deepEqual(asked.filter((url) => !/^(blob|data):/.test(url)), [`${address}?${EXACT}&stats=1`]);
+    await page.keyboard.press("i");
+    const { near } = await compare(page, await settled(page), expected);
+    assert.equal(near, 1);
+    await shot(page, "one-file");
+  }
+});
+
+test("a graphics card that is lost is not the end", async (t) => {
+  const script = () => {
+    const { requestDevice } = GPUAdapter.prototype;
+    GPUAdapter.prototype.requestDevice = async function (...given) {
+      return (window.device = await requestDevice.apply(this, given));
+    };
+  };
+  const page = await loaded(await open(t, EXACT, { script }));
+  await goTo(page, 3);
+  await page.mouse.move(150, 120);
+  await page.mouse.down();
+  await page.mouse.move(230, 140);
+  await page.mouse.up();
+  const before = await settled(page);
+  await page.evaluate(() => {
+    window.device.destroy();
+    window.dispatchEvent(new Event("resize"));
+  });
+  await page.keyboard.press("l");
+  await said(page, "WebGPU has lost the graphics card: drawing with WebGL2 now");
+  await page.waitForFunction(() => !document.querySelector("#toast").classList.contains("shown"));
+  const { near } = await compare(page, await settled(page), before);
+  assert.ok(near > 0.98, `the same view: ${near}`);
+  assert.match(await frameNumber(page), /^4 /);
+  assert.equal(await renderer(page), "WebGL2");
+  // The new canvas hears the mouse.
+  await page.mouse.move(150, 120);
+  await page.mouse.down();
+  await page.mouse.move(190, 140);
+  await page.mouse.up();
+  assert.ok((await compare(page, await settled(page), before)).near < 0.998);
+});
+
+test("a browser without WebGPU and WebGL2 is told so", async (t) => {
+  const script = () => {
+    const { getContext } = HTMLCanvasElement.prototype;
+    HTMLCanvasElement.prototype.getContext = function (kind, ...given) {
+      return kind === "webgl2" ? null : getContext.call(this, kind, ...given);
+    };
+  };
+  const page = await open(t, EXACT, { script, webgpu: false });
   await page.waitForSelector("#failure:not([hidden])");
-  assert.match(await page.textContent("#failure"), /cannot draw[\s\S]*WebGPU[\s\S]*Chrome[\s\S]*Safari[\s\S]*Firefox/);
+  assert.match(await page.textContent("#failure"), /cannot draw[\s\S]*WebGPU or WebGL2/);
 });
 
 test("a slow device draws fewer pixels while things move, all of them at rest", async (t) => {

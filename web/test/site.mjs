@@ -84,7 +84,7 @@ async function open(t, { script, standIn = false, ...options } = {}) {
   if (script) await page.addInitScript(script);
   if (standIn) {
     const stand = { path: ENGINE, contentType: "text/javascript" };
-    await page.route("**/engine/tcgs_play.js", (route) => route.fulfill(stand));
+    await page.route("**/engine*/tcgs_play.js", (route) => route.fulfill(stand));
   }
   await page.goto(address);
   return page;

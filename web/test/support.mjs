@@ -6,23 +6,31 @@ import { createInterface } from "node:readline";
 
 import { chromium } from "playwright-core";
 
+/** A software GPU for WebGPU and for the window. Without a window, the pictures of WebGPU would not arrive in it. */
+const WITH_WEBGPU = [
+  "--enable-unsafe-webgpu",
+  "--use-webgpu-adapter=swiftshader",
+  "--enable-gpu",
+  "--enable-features=Vulkan",
+  "--use-vulkan=swiftshader",
+  "--disable-vulkan-surface",
+];
+/** Here WebGPU finds no graphics card. */
+const WITHOUT_WEBGPU = ["--use-angle=swiftshader"];
+
 /**
- * Starts Debian's Chromium with a software GPU, for the window as well as for WebGPU, and with a window on whatever display
- * there is: otherwise the pictures of WebGPU would not arrive in the window. The browser reaches this machine alone.
+ * Starts Debian's Chromium with a software GPU, and with a window on whatever display there is. The browser reaches this
+ * machine alone.
  */
-export function launch() {
+export function launch({ webgpu = true } = {}) {
   return chromium.launch({
     executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
     headless: false,
     args: [
       "--no-sandbox",
-      "--enable-unsafe-webgpu",
-      "--use-webgpu-adapter=swiftshader",
-      "--enable-gpu",
+      ...(webgpu ? WITH_WEBGPU : WITHOUT_WEBGPU),
+      "--enable-unsafe-swiftshader",
       "--ignore-gpu-blocklist",
-      "--enable-features=Vulkan",
-      "--use-vulkan=swiftshader",
-      "--disable-vulkan-surface",
       "--disable-gpu-watchdog",
       "--disable-background-networking",
       "--disable-component-update",
@@ -44,7 +52,8 @@ export async function serve(tcgs, scene) {
 
 /**
  * Compares two PNG files in the browser, which decodes them. Returns the share of the pixels whose channels all agree within
- * 3 (`near`), and the share of the second file's pixels that are not black (`covered`).
+ * 3 (`near`), the share of those of which a channel differs by more than 8 (`far`), the mean difference of all channels
+ * (`mean`), and the share of the second file's pixels that are not black (`covered`).
  * @param {Buffer} found
  * @param {Buffer} expected
  */
@@ -62,14 +71,17 @@ export function compare(page, found, expected) {
       if (a.width !== b.width || a.height !== b.height) {
         throw new Error(`${a.width}x${a.height}, expected ${b.width}x${b.height}`);
       }
-      let [near, covered] = [0, 0];
+      let [near, far, sum, covered] = [0, 0, 0, 0];
       for (let i = 0; i < a.data.length; i += 4) {
         const channels = [0, 1, 2].map((c) => [a.data[i + c], b.data[i + c]]);
-        if (channels.every(([x, y]) => Math.abs(x - y) <= 3)) near += 1;
+        const most = Math.max(...channels.map(([x, y]) => Math.abs(x - y)));
+        if (most <= 3) near += 1;
+        if (most > 8) far += 1;
+        for (const [x, y] of channels) sum += Math.abs(x - y);
         if (channels.some(([, y]) => y > 8)) covered += 1;
       }
       const count = a.data.length / 4;
-      return { near: near / count, covered: covered / count };
+      return { near: near / count, far: far / count, mean: sum / (3 * count), covered: covered / count };
     },
     [found, expected].map((file) => file.toString("base64")),
   );

@@ -55,7 +55,7 @@ async function open(t, { address }, { standIn = true, ...options } = {}) {
     await context.close();
     assert.deepEqual(errors, []);
   });
-  if (standIn) await page.route("**/engine/tcgs_play.js", (route) => route.fulfill({ path: ENGINE, contentType: "text/javascript" }));
+  if (standIn) await page.route("**/engine*/tcgs_play.js", (route) => route.fulfill({ path: ENGINE, contentType: "text/javascript" }));
   await page.goto(`${address}?quality=fixed&dpr=1`);
   return page;
 }

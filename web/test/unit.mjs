@@ -49,8 +49,10 @@ test("addresses say what to show, and nonsense says nothing", () => {
     view: 0,
     theme: "dark",
     quality: "fixed",
+    renderer: null,
     dpr: 1,
   });
+  assert.equal(readParams("?renderer=webgl2").renderer, "webgl2");
   const odd = readParams("?speed=fast&timestep=-3&view=&dpr=0&theme=pink&quality=best");
   assert.deepEqual([odd.speed, odd.timestep, odd.view, odd.dpr, odd.theme, odd.quality], [1, 0, null, null, null, "auto"]);
 });
@@ -93,14 +95,18 @@ test("pixels do not pay for time that goes elsewhere", () => {
 
 // Tests of the built page with its WebAssembly, of what needs no GPU.
 const DIST = new URL("../dist/", import.meta.url);
-const isBuilt = existsSync(new URL("engine/tcgs_play.js", DIST));
+const ENGINES = ["engine", "engine-webgl2"];
+const isBuilt = ENGINES.every((engine) => existsSync(new URL(`${engine}/tcgs_play.js`, DIST)));
 assert.ok(isBuilt || !process.env.REQUIRE_PLAYER, "web/dist is missing: run web/build.sh");
-const engineTest = (name, run) =>
-  test(name, { skip: isBuilt ? false : "web/dist is missing: run web/build.sh" }, async () => {
-    const { initSync, CameraPath } = await import(new URL("engine/tcgs_play.js", DIST));
-    initSync({ module: readFileSync(new URL("engine/tcgs_play_bg.wasm", DIST)) });
-    await run(CameraPath, await import(new URL("camera_path.js", DIST)));
-  });
+const engineTest = (name, run) => {
+  for (const engine of ENGINES) {
+    test(`${name} (${engine})`, { skip: isBuilt ? false : "web/dist is missing: run web/build.sh" }, async () => {
+      const { initSync, CameraPath } = await import(new URL(`${engine}/tcgs_play.js`, DIST));
+      initSync({ module: readFileSync(new URL(`${engine}/tcgs_play_bg.wasm`, DIST)) });
+      await run(CameraPath, await import(new URL("camera_path.js", DIST)));
+    });
+  }
+};
 
 const camera = (angle) => {
   // On a circle of radius 3 around the origin, looking at it.
@@ -137,7 +143,7 @@ engineTest("a path comes back from its file, and nothing else does", (CameraPath
   path.insert(1, { ...camera(1 / 10), cameraFromWorld: new Float64Array(camera(1 / 10).cameraFromWorld) });
   const text = pathToJson(path);
   const expected = [1, 3].map((timestep) => ({ timestep, camera: camera(timestep / 10) }));
-  assert.deepEqual(pathFromJson(text).keyframes(), expected);
+  assert.deepEqual(pathFromJson(text, new CameraPath()).keyframes(), expected);
   const { format, version, cameras } = JSON.parse(text);
   assert.deepEqual([format, version, Object.keys(cameras[0])], ["tcgs-camera-path", 1, ["timestep", ...Object.keys(camera(0))]]);
   const wrong = [
@@ -147,7 +153,7 @@ engineTest("a path comes back from its file, and nothing else does", (CameraPath
     text.replace('"fx"', '"f"'),
     text.replace('"timestep"', '"time"'),
   ];
-  for (const text of wrong) assert.throws(() => pathFromJson(text), Error, text);
+  for (const text of wrong) assert.throws(() => pathFromJson(text, new CameraPath()), Error, text);
 });
 
 engineTest("a view shows all that it shows in another window, too", (CameraPath) => {

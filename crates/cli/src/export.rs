@@ -3,9 +3,11 @@
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
+use anyhow::anyhow;
 use serde_json::json;
-use tcgs_core::SceneReader;
+use tcgs_core::{SceneReader, read_file};
 use tcgs_pipeline::{Export, NewFolder, TimestepKind};
+use tcgs_serve::{NO_PAGE, PAGE, single_file};
 
 use crate::error::wrong_input;
 use crate::options::{Frames, JobOptions};
@@ -13,6 +15,10 @@ use crate::output::{check_folder, finish, is_numbered, show_bytes, write_file_wi
 use crate::scene::{SceneOptions, describe, note_replaced};
 use crate::teller::Teller;
 use crate::terminal::{note, say};
+use crate::view::check_scene;
+
+/// Largest scene in a page, bytes. Browsers hold no longer texts than half a gigabyte.
+const MAX_PAGE_SCENE: u64 = 1 << 28;
 
 /// Export a scene for other programs
 ///
@@ -30,6 +36,9 @@ use crate::terminal::{note, say};
 /// bit for bit: for each frame all means, quats, log_scales, logit_opacities and colors, then further columns,
 /// little-endian. A run is exported in floats, without the Gaussians that its masks prune: these files cannot hold
 /// masks.
+///
+/// A .html file is the player with the scene in it, of a .tcgs file. A browser opens it from a disk, without a server and
+/// without a network.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:
@@ -39,14 +48,15 @@ Example:
   tcgs export scene.tcgs --to for_supersplat --files sog
   tcgs export scene.tcgs --to scene.4dgs
   tcgs export scene.tcgs --to scene.usda
+  tcgs export scene.tcgs --to scene.html         a page to send to a friend
   tcgs export scene.tcgs --frames 7..8 --to frame_7.ply")]
 pub struct Arguments {
     /// .tcgs file, run folder, params.npz, .4dgs file, or PLY, SPZ, glTF or SOG files
     scene: PathBuf,
     #[command(flatten)]
     reading: SceneOptions,
-    /// File or folder to write. The ending selects the format: .npz, .4dgs, .usda or .f32 for all timesteps, .ply,
-    /// .compressed.ply, .spz, .glb or .sog for one, none for a folder of these
+    /// File or folder to write. The ending selects the format: .npz, .4dgs, .usda, .html or .f32 for all timesteps,
+    /// .ply, .compressed.ply, .spz, .glb or .sog for one, none for a folder of these
     #[arg(long, value_name = "FILE|DIR")]
     to: PathBuf,
     /// Which files a folder gets
@@ -99,6 +109,9 @@ enum Target {
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let (to, force) = (&arguments.to, arguments.job.force);
+    if !to.is_dir() && to.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("html")) {
+        return write_page(arguments);
+    }
     let target = target(arguments)?;
     let scene = arguments.reading.open(&arguments.scene)?;
     let frames = scene.choose_frames(arguments.frames.as_ref().map(|frames| &frames.0))?;
@@ -177,6 +190,25 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.job.write_json(&json!({ "out": to.display().to_string(), "bytes": bytes }))
 }
 
+/// Writes the player with the scene as one page.
+fn write_page(arguments: &Arguments) -> anyhow::Result<()> {
+    let (scene, to, job) = (&arguments.scene, &arguments.to, &arguments.job);
+    job.begin(&[to], &[scene])?;
+    if let Some(frames) = &arguments.frames {
+        let problem = format!("--frames {}..{} of a page", frames.0.start, frames.0.end);
+        return Err(wrong_input(format!("{problem}, expected none: a page holds all of a scene")));
+    }
+    check_scene(scene)?;
+    if PAGE.is_empty() {
+        return Err(anyhow!(NO_PAGE));
+    }
+    let name = scene.file_name().unwrap_or_default().to_string_lossy();
+    let html = single_file(PAGE, &name, &read_file(scene, MAX_PAGE_SCENE)?)?;
+    write_file_with(to, job.force, |mut file| file.write_all(html.as_bytes()))?;
+    say(&format!("{}: {}", to.display(), show_bytes(html.len() as u64)))?;
+    job.write_json(&json!({ "out": to.display().to_string(), "bytes": html.len() }))
+}
+
 /// Selects the format by the ending. Refuses before the work what could not be written after it.
 fn target(arguments: &Arguments) -> anyhow::Result<Target> {
     let (to, job, scene) = (&arguments.to, &arguments.job, arguments.scene.as_path());
@@ -198,7 +230,7 @@ fn target(arguments: &Arguments) -> anyhow::Result<Target> {
         _ => {
             let problem = "not a kind of file that this version writes";
             let expected = "NAME.npz, NAME.ply, NAME.compressed.ply, NAME.spz, NAME.glb, NAME.sog, NAME.4dgs, \
-                            NAME.usda, NAME.f32, or a folder's name without an ending";
+                            NAME.usda, NAME.html, NAME.f32, or a folder's name without an ending";
             Err(wrong_input(format!("{}: {problem}, expected {expected}", to.display())))
         }
     }

@@ -52,7 +52,8 @@ impl Inbox {
         Self { length, ..Self::default() }
     }
 
-    /// Replaces the waker that the next piece wakes.
+    /// Replaces the waker that the next piece wakes. A worker looks for pieces by itself.
+    #[cfg(any(feature = "webgpu", test))]
     pub fn wake_by(&mut self, waker: Waker) {
         self.waker = Some(waker);
     }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use tcgs_codec::DecodeError;
 use tcgs_core::{CameraError, CameraPathError};
-use tcgs_render::gpu::GpuError;
+use tcgs_render::device::GpuError;
 
 use crate::source::SourceError;
 
@@ -49,6 +49,14 @@ pub enum PlayError {
     /// Another scene was opened before this one was ready.
     #[error("another scene was opened")]
     Replaced,
+    /// The worker that decodes the scene met an error.
+    #[error("{message}")]
+    Worker {
+        /// Kind of the error.
+        code: ErrorCode,
+        /// Its text.
+        message: String,
+    },
 }
 
 /// Why a camera is not valid.
@@ -114,6 +122,20 @@ pub enum ErrorCode {
 }
 
 impl ErrorCode {
+    /// All kinds.
+    pub const ALL: [Self; 10] = [
+        Self::NotTcgs,
+        Self::Truncated,
+        Self::NewerVersion,
+        Self::Damaged,
+        Self::Network,
+        Self::NoGpu,
+        Self::OutOfMemory,
+        Self::DeviceLost,
+        Self::BadCamera,
+        Self::Aborted,
+    ];
+
     /// The code that a page reads in the property `code` of an error. It does not change with the message.
     pub fn as_str(self) -> &'static str {
         match self {
@@ -146,6 +168,7 @@ impl PlayError {
             Self::Gpu(_) => ErrorCode::DeviceLost,
             Self::Camera(_) => ErrorCode::BadCamera,
             Self::Replaced => ErrorCode::Aborted,
+            Self::Worker { code, .. } => *code,
         }
     }
 }

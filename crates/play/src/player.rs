@@ -11,12 +11,15 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use tcgs_codec::{Archive, DecodeLimits, Light, MAGIC, Opening, SegmentCache, read_light, read_times};
+use tcgs_codec::{Archive, DecodeLimits, Light, MAGIC, Opening, SegmentCache, read_light, read_times, read_views};
+use tcgs_core::Camera;
 
 use crate::clock::Clock;
 use crate::error::PlayError;
 use crate::holdings::{Holdings, Moment, Part};
 use crate::source::{Piece, RangeSource, SourceError};
+use crate::start_view::{StartView, start_view};
+use crate::viewer::Feed;
 
 /// A player's memory, and its first request.
 #[derive(Clone, Debug, PartialEq)]
@@ -77,6 +80,37 @@ pub struct Player<S> {
     first_timestep: usize,
     bytes_loaded: u64,
     failure: Option<PlayError>,
+}
+
+/// The tables at the start of a file, and the data of applications behind them.
+#[derive(Debug)]
+pub(crate) struct Tables {
+    pub(crate) archive: Archive,
+    pub(crate) clock: Clock,
+    pub(crate) application_data: Vec<(String, Vec<u8>)>,
+    pub(crate) light: Light,
+}
+
+impl Tables {
+    /// - `start`: the first bytes of the file
+    /// - `first_timestep`: where the clock stands; the last timestep of the scene if it has fewer
+    /// - returns: `None` as long as `start` lacks application data
+    pub(crate) fn read(archive: Archive, start: &[u8], first_timestep: usize) -> Result<Option<Self>, PlayError> {
+        let mut application_data = Vec::new();
+        for (index, range) in application_ranges(&archive) {
+            let Some(data) = start.get(range.start as usize..range.end as usize) else { return Ok(None) };
+            let read = archive.read_application(index, data)?;
+            application_data.extend(read.map(|(name, bytes)| (name, bytes.to_vec())));
+        }
+        let info = archive.info();
+        let mut clock = Clock::new(info.num_timesteps as usize, info.frame_rate.into());
+        if let Some(times) = read_times(&application_data, info.num_timesteps as usize) {
+            clock = clock.with_times(times);
+        }
+        clock.seek(first_timestep);
+        let light = read_light(&application_data);
+        Ok(Some(Self { archive, clock, application_data, light }))
+    }
 }
 
 /// A file whose tables have arrived.
@@ -178,6 +212,18 @@ impl<S: RangeSource> Player<S> {
     /// Names and bytes of the data that applications put near the start of the file, once its tables have arrived.
     pub fn application_data(&self) -> &[(String, Vec<u8>)] {
         self.file.as_ref().map_or(&[], |file| &file.application_data)
+    }
+
+    /// The first bytes of the file: its tables and the data of applications behind them, once these have arrived.
+    #[cfg(feature = "webgl2")]
+    pub(crate) fn start(&self) -> &[u8] {
+        &self.start
+    }
+
+    /// Whether a request is under way, or its bytes are to be decoded.
+    #[cfg(feature = "webgl2")]
+    pub(crate) fn is_fetching(&self) -> bool {
+        self.fetch.is_some()
     }
 
     /// Gains of red, green and blue at a timestep ([`Light`]); 1 before the file's tables have arrived.
@@ -293,23 +339,11 @@ impl<S: RangeSource> Player<S> {
         if let Some(found) = found.filter(|&found| found < expected) {
             return Err(PlayError::Truncated { found, expected });
         }
-        let mut application_data = Vec::new();
-        for (index, range) in application_ranges(&archive) {
-            let Some(data) = self.start.get(range.start as usize..range.end as usize) else { return Ok(()) };
-            let read = archive.read_application(index, data)?;
-            application_data.extend(read.map(|(name, bytes)| (name, bytes.to_vec())));
-        }
-        let info = archive.info();
-        let mut clock = Clock::new(info.num_timesteps as usize, info.frame_rate.into());
-        if let Some(times) = read_times(&application_data, info.num_timesteps as usize) {
-            clock = clock.with_times(times);
-        }
-        clock.seek(self.first_timestep);
+        let Some(tables) = Tables::read(*archive, &self.start, self.first_timestep)? else { return Ok(()) };
+        let Tables { archive, mut clock, application_data, light } = tables;
         clock.hold(now_ms);
         let holdings = Holdings::new(self.settings.max_segment_bytes);
-        let light = read_light(&application_data);
-        self.file =
-            Some(OpenFile { archive: *archive, holdings, clock, application_data, light, begun: BTreeMap::new() });
+        self.file = Some(OpenFile { archive, holdings, clock, application_data, light, begun: BTreeMap::new() });
         Ok(())
     }
 
@@ -366,6 +400,60 @@ impl<S: RangeSource> Player<S> {
         }
         let end = if known == 0 { self.settings.opening_bytes.max(needed) } else { needed };
         Ok(Some((Part::Tables, known..end, true)))
+    }
+}
+
+impl<S: RangeSource> Feed for Player<S> {
+    type Moment = Moment;
+
+    fn update(&mut self, now_ms: f64) -> Result<(), PlayError> {
+        self.update(now_ms)
+    }
+
+    fn current(&self) -> Option<Moment> {
+        self.current()
+    }
+
+    fn start_view(&self, moment: &Moment) -> StartView {
+        let up = self.archive().map(|archive| archive.info().up).unwrap_or_default().direction();
+        let cameras: Vec<Camera> =
+            read_views(self.application_data()).into_iter().map(|of_file| of_file.camera).collect();
+        let (camera, pivot) = start_view(moment, &cameras, up);
+        StartView { camera, up, pivot }
+    }
+
+    fn look(&mut self, _: &Camera) {}
+
+    fn is_buffering(&self) -> bool {
+        self.current().is_none_or(|moment| !moment.is_whole)
+    }
+
+    fn is_due(&self, moment: &Moment, _: &Camera) -> bool {
+        moment.is_whole && self.clock().is_some_and(|clock| clock.timestep() == moment.timestep)
+    }
+
+    fn light(&self, moment: &Moment) -> [f32; 3] {
+        self.light(moment.timestep)
+    }
+
+    fn archive(&self) -> Option<&Archive> {
+        self.archive()
+    }
+
+    fn application_data(&self) -> &[(String, Vec<u8>)] {
+        self.application_data()
+    }
+
+    fn clock(&self) -> Option<&Clock> {
+        self.clock()
+    }
+
+    fn clock_mut(&mut self) -> Option<&mut Clock> {
+        self.clock_mut()
+    }
+
+    fn bytes_loaded(&self) -> u64 {
+        self.bytes_loaded()
     }
 }
 

@@ -11,8 +11,10 @@ use tcgs_render::gpu::raw::{GpuRenderer, Staged};
 use tcgs_render::gpu::{Gpu, GpuError};
 
 use crate::blit::{self, Blit};
+use crate::error::PlayError;
 use crate::holdings::Moment;
 use crate::reconstruct::Reconstruction;
+use crate::renderer::{PictureRequest, Renderer};
 
 /// Tile-splat pairs per Gaussian in the first buffers: a picture of full size has two to seven.
 const FIRST_PAIRS: usize = 6;
@@ -20,19 +22,6 @@ const FIRST_PAIRS: usize = 6;
 const STILL_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 /// Texture rows are copied to a buffer in multiples of this many bytes.
 const ROW_BYTES: usize = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as usize;
-
-/// A picture to draw: timestep, camera and background.
-#[derive(Clone, Copy, Debug)]
-pub struct PictureRequest<'a> {
-    /// A timestep of the renderer's scene.
-    pub moment: &'a Moment,
-    /// Camera; its image size is the size of the picture.
-    pub camera: &'a Camera,
-    /// Colour behind all Gaussians, sRGB in `[0, 1]`; not multiplied by `light`.
-    pub background: [f32; 3],
-    /// Gains of the Gaussians' red, green and blue ([`tcgs_codec::Light`]), above 0.
-    pub light: [f32; 3],
-}
 
 /// Draws the timesteps of one scene; cohorts and segments are uploaded when needed.
 #[derive(Debug)]
@@ -95,7 +84,7 @@ impl SegmentRenderer {
     ///
     /// # Errors
     /// [`GpuError::Memory`] if buffers for the picture do not fit; otherwise what has gone wrong on the GPU so far.
-    pub fn draw(&mut self, request: &PictureRequest<'_>, target: &wgpu::TextureView) -> Result<(), GpuError> {
+    pub fn draw(&mut self, request: &PictureRequest<'_, Moment>, target: &wgpu::TextureView) -> Result<(), GpuError> {
         self.take_counts()?;
         let mut encoder = self.gpu.encoder();
         self.render(request, &mut encoder)?;
@@ -118,7 +107,7 @@ impl SegmentRenderer {
     ///
     /// # Errors
     /// [`GpuError::Memory`] if buffers for the picture do not fit; otherwise what has gone wrong on the GPU so far.
-    pub fn begin_still(&mut self, request: &PictureRequest<'_>) -> Result<Still, GpuError> {
+    pub fn begin_still(&mut self, request: &PictureRequest<'_, Moment>) -> Result<Still, GpuError> {
         self.take_counts()?;
         let size @ [width, height] = [request.camera.width, request.camera.height];
         let texture = self.gpu.device().create_texture(&wgpu::TextureDescriptor {
@@ -183,7 +172,11 @@ impl SegmentRenderer {
     }
 
     /// Records everything up to the renderer's image.
-    fn render(&mut self, request: &PictureRequest<'_>, encoder: &mut wgpu::CommandEncoder) -> Result<(), GpuError> {
+    fn render(
+        &mut self,
+        request: &PictureRequest<'_, Moment>,
+        encoder: &mut wgpu::CommandEncoder,
+    ) -> Result<(), GpuError> {
         self.reconstruction.load(request.moment, request.camera.center())?;
         self.make_room(request.camera)?;
         let Some(renderer) = &mut self.renderer else { return Ok(()) };
@@ -270,12 +263,40 @@ impl SegmentRenderer {
     }
 }
 
-/// Fills a texture with one colour, for as long as there is no scene.
-pub fn clear(gpu: &Gpu, target: &wgpu::TextureView, [r, g, b]: [f32; 3]) {
-    let mut encoder = gpu.encoder();
-    let color = wgpu::Color { r: r.into(), g: g.into(), b: b.into(), a: 1.0 };
-    drop(blit::begin(&mut encoder, target, color));
-    gpu.submit(encoder);
+impl Renderer for SegmentRenderer {
+    type Moment = Moment;
+    /// The GPU, and the format of the textures that are drawn to.
+    type Device = (Gpu, wgpu::TextureFormat);
+    type Target = wgpu::TextureView;
+    type Still = Still;
+
+    fn begin((gpu, format): &Self::Device) -> Result<Self, PlayError> {
+        Ok(Self::new(gpu, *format)?)
+    }
+
+    fn clear((gpu, _): &Self::Device, target: &wgpu::TextureView, [r, g, b]: [f32; 3]) -> Result<(), PlayError> {
+        let mut encoder = gpu.encoder();
+        let color = wgpu::Color { r: r.into(), g: g.into(), b: b.into(), a: 1.0 };
+        drop(blit::begin(&mut encoder, target, color));
+        gpu.submit(encoder);
+        Ok(gpu.check()?)
+    }
+
+    fn draw(&mut self, request: &PictureRequest<'_, Moment>, target: &wgpu::TextureView) -> Result<(), PlayError> {
+        Ok(self.draw(request, target)?)
+    }
+
+    fn is_whole(&self) -> bool {
+        self.is_whole()
+    }
+
+    fn begin_still(&mut self, request: &PictureRequest<'_, Moment>) -> Result<Still, PlayError> {
+        Ok(self.begin_still(request)?)
+    }
+
+    fn finish_still(&mut self, still: &Still) -> Result<Option<Vec<u8>>, PlayError> {
+        Ok(self.finish_still(still)?)
+    }
 }
 
 fn extent([width, height]: [usize; 2]) -> wgpu::Extent3d {

@@ -12,6 +12,17 @@ const SIZE: [usize; 2] = [640, 360];
 /// Number of directions tried for a scene without cameras, until one is without fog.
 const NUM_DIRECTIONS: usize = 8;
 
+/// The view with which a player begins.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StartView {
+    /// The camera.
+    pub camera: Camera,
+    /// Direction in the world that points up.
+    pub up: [f64; 3],
+    /// Point in the world around which the camera orbits.
+    pub pivot: [f64; 3],
+}
+
 /// The camera with which a player begins, and its pivot. The camera is the file's first one that shows the scene's
 /// [`Subject`] without fog before it. A file without cameras is seen from [`Subject::distance`] away and a little
 /// above.

@@ -1,17 +1,59 @@
 //! A player, a camera and a renderer: a complete viewer except for its window.
 
-use tcgs_codec::{Archive, FileCamera, SceneInfo, UpAxis, read_views};
+use tcgs_codec::{Archive, FileCamera, SceneInfo, read_views};
 use tcgs_core::Camera;
-use tcgs_render::gpu::Gpu;
 
 use crate::clock::Clock;
 use crate::controls::Controls;
 use crate::error::PlayError;
-use crate::holdings::Moment;
-use crate::player::{Player, PlayerSettings};
-use crate::segment_renderer::{self, PictureRequest, SegmentRenderer, Still};
-use crate::source::RangeSource;
-use crate::start_view::start_view;
+use crate::renderer::{PictureRequest, Renderer};
+use crate::start_view::StartView;
+
+/// From the bytes of a scene to timesteps that a renderer draws: a [`Player`](crate::Player), or one in the worker of a
+/// page.
+pub trait Feed {
+    /// A timestep in the form that the renderer draws.
+    type Moment: Clone;
+
+    /// Lets time pass, and takes what has arrived, as [`Player::update`](crate::Player::update) does.
+    ///
+    /// # Errors
+    /// [`PlayError`] if the scene does not play. Every later call returns the same error.
+    fn update(&mut self, now_ms: f64) -> Result<(), PlayError>;
+
+    /// The timestep to draw: the due one, or the newest that is there.
+    fn current(&self) -> Option<Self::Moment>;
+
+    /// The view at the start.
+    fn start_view(&self, moment: &Self::Moment) -> StartView;
+
+    /// Learns the camera of the next picture.
+    fn look(&mut self, camera: &Camera);
+
+    /// Whether a part of the due timestep has not arrived.
+    fn is_buffering(&self) -> bool;
+
+    /// Whether this is the due timestep with all its Gaussians, in the form that this camera needs.
+    fn is_due(&self, moment: &Self::Moment, camera: &Camera) -> bool;
+
+    /// Gains of red, green and blue at a timestep.
+    fn light(&self, moment: &Self::Moment) -> [f32; 3];
+
+    /// Tables of the file, once they have arrived.
+    fn archive(&self) -> Option<&Archive>;
+
+    /// Names and bytes of the data that applications put near the start of the file, once its tables have arrived.
+    fn application_data(&self) -> &[(String, Vec<u8>)];
+
+    /// The clock, once the tables of the file have arrived.
+    fn clock(&self) -> Option<&Clock>;
+
+    /// The clock, to be started, stopped and set, once the tables of the file have arrived.
+    fn clock_mut(&mut self) -> Option<&mut Clock>;
+
+    /// Number of bytes that have arrived; bytes that arrived twice count twice.
+    fn bytes_loaded(&self) -> u64;
+}
 
 /// The timestep that [`Viewer::draw`] drew, and the due one.
 #[derive(Clone, Debug, PartialEq)]
@@ -36,13 +78,15 @@ pub struct FrameReport {
 /// The caller owns the window or canvas: it calls [`Viewer::update`] and [`Viewer::draw`] once a frame. A still picture
 /// needs no window:
 ///
-/// ```no_run
+#[cfg_attr(feature = "webgpu", doc = "```no_run")]
+#[cfg_attr(not(feature = "webgpu"), doc = "```ignore")]
 /// use std::path::Path;
-/// use tcgs_play::{FileSource, PlayError, PlayerSettings, Viewer};
+/// use tcgs_play::{FileSource, PlayError, Player, PlayerSettings, SegmentRenderer, Viewer};
 /// use tcgs_render::gpu::{Gpu, GpuChoice};
 /// let gpu = Gpu::open_for_viewing(GpuChoice::Hardware)?;
-/// let mut viewer = Viewer::new(gpu.clone(), wgpu::TextureFormat::Rgba8Unorm);
-/// viewer.open(FileSource::open(Path::new("scene.tcgs"))?, PlayerSettings::default(), 0);
+/// let mut viewer: Viewer<_, SegmentRenderer> = Viewer::new((gpu.clone(), wgpu::TextureFormat::Rgba8Unorm));
+/// let source = FileSource::open(Path::new("scene.tcgs"))?;
+/// viewer.open(Player::new(source, PlayerSettings::default(), 0));
 /// while !viewer.update(0.0)? {}
 /// let pixels = loop {
 ///     let Some(still) = viewer.begin_still([640, 360])? else { continue };
@@ -54,44 +98,39 @@ pub struct FrameReport {
 /// assert_eq!(pixels.len(), 4 * 640 * 360);
 /// # Ok::<(), PlayError>(())
 /// ```
-#[derive(Debug)]
-pub struct Viewer<S> {
-    gpu: Gpu,
-    format: wgpu::TextureFormat,
+pub struct Viewer<F: Feed, R: Renderer> {
+    device: R::Device,
     background: [f32; 3],
-    session: Option<Session<S>>,
+    session: Option<Session<F, R>>,
 }
 
 /// A scene from its opening to its closing.
-#[derive(Debug)]
-struct Session<S> {
-    player: Player<S>,
+struct Session<F: Feed, R> {
+    player: F,
     /// Present once the first picture of the due timestep can be drawn.
-    display: Option<Display>,
+    display: Option<Display<F::Moment, R>>,
 }
 
 /// The renderer, the camera's controls and the timestep that is shown.
-#[derive(Debug)]
-struct Display {
-    renderer: SegmentRenderer,
+struct Display<M, R> {
+    renderer: R,
     controls: Controls,
     /// The timestep that is drawn until the next due one has arrived.
-    shown: Moment,
+    shown: M,
 }
 
-impl<S: RangeSource> Viewer<S> {
+impl<F: Feed, R: Renderer<Moment = F::Moment>> Viewer<F, R> {
     /// A viewer without a scene.
     ///
-    /// - `format`: format of the textures drawn to. It must not encode sRGB, because colours are stored as displayed
-    pub fn new(gpu: Gpu, format: wgpu::TextureFormat) -> Self {
-        Self { gpu, format, background: [0.0; 3], session: None }
+    /// - `device`: for [`SegmentRenderer`](crate::SegmentRenderer) the GPU and the format of the textures drawn to.
+    ///   That must not encode sRGB, because colours are stored as displayed
+    pub fn new(device: R::Device) -> Self {
+        Self { device, background: [0.0; 3], session: None }
     }
 
     /// Starts opening a scene, and closes the scene before. Later calls of [`Self::update`] fetch and decode it.
-    ///
-    /// - `first_timestep`: the timestep that is shown first; the last one of the scene if it has fewer
-    pub fn open(&mut self, source: S, settings: PlayerSettings, first_timestep: usize) {
-        self.session = Some(Session { player: Player::new(source, settings, first_timestep), display: None });
+    pub fn open(&mut self, player: F) {
+        self.session = Some(Session { player, display: None });
     }
 
     /// Closes the scene.
@@ -101,7 +140,7 @@ impl<S: RangeSource> Viewer<S> {
 
     /// Lets time pass, takes the bytes that have arrived, and decodes.
     ///
-    /// - `now_ms`: as for [`Player::update`]
+    /// - `now_ms`: as for [`Feed::update`]
     /// - returns: whether there is a picture to draw
     ///
     /// # Errors
@@ -113,13 +152,9 @@ impl<S: RangeSource> Viewer<S> {
             match &mut session.display {
                 Some(display) => display.shown = moment,
                 None => {
-                    let info = session.player.archive().map(Archive::info);
-                    let up = info.map_or_else(UpAxis::default, |info| info.up).direction();
-                    let cameras = read_views(session.player.application_data());
-                    let cameras: Vec<Camera> = cameras.into_iter().map(|of_file| of_file.camera).collect();
-                    let (camera, pivot) = start_view(&moment, &cameras, up);
+                    let StartView { camera, up, pivot } = session.player.start_view(&moment);
                     session.display = Some(Display {
-                        renderer: SegmentRenderer::new(&self.gpu, self.format)?,
+                        renderer: R::begin(&self.device)?,
                         controls: Controls::new(&camera, up, pivot),
                         shown: moment,
                     });
@@ -136,26 +171,21 @@ impl<S: RangeSource> Viewer<S> {
     ///
     /// # Errors
     /// [`PlayError::Gpu`] if the GPU fails.
-    pub fn draw(&mut self, size: [usize; 2], target: &wgpu::TextureView) -> Result<Option<FrameReport>, PlayError> {
+    pub fn draw(&mut self, size: [usize; 2], target: &R::Target) -> Result<Option<FrameReport>, PlayError> {
         let Some(Session { player, display: Some(display) }) = &mut self.session else {
-            segment_renderer::clear(&self.gpu, target, self.background);
-            self.gpu.check()?;
-            return Ok(None);
+            return R::clear(&self.device, target, self.background).map(|()| None);
         };
         let camera = display.controls.camera(size);
-        let (moment, background, light) = (&display.shown, self.background, player.light(display.shown.timestep));
-        let request = PictureRequest { moment, camera: &camera, background, light };
-        display.renderer.draw(&request, target)?;
-        Ok(player.clock().map(|clock| {
-            let is_buffering = player.current().is_none_or(|moment| !moment.is_whole);
-            FrameReport {
-                time: clock.position(),
-                seconds: clock.seconds(),
-                timestep: clock.timestep(),
-                is_playing: clock.is_playing(),
-                is_buffering,
-                is_drawn: !is_buffering && display.renderer.is_whole(),
-            }
+        player.look(&camera);
+        let (moment, background, light) = (&display.shown, self.background, player.light(&display.shown));
+        display.renderer.draw(&PictureRequest { moment, camera: &camera, background, light }, target)?;
+        Ok(player.clock().map(|clock| FrameReport {
+            time: clock.position(),
+            seconds: clock.seconds(),
+            timestep: clock.timestep(),
+            is_playing: clock.is_playing(),
+            is_buffering: player.is_buffering(),
+            is_drawn: player.is_due(&display.shown, &camera) && display.renderer.is_whole(),
         }))
     }
 
@@ -166,22 +196,23 @@ impl<S: RangeSource> Viewer<S> {
     ///
     /// # Errors
     /// [`PlayError::Gpu`] if the GPU fails.
-    pub fn begin_still(&mut self, size: [usize; 2]) -> Result<Option<Still>, PlayError> {
+    pub fn begin_still(&mut self, size: [usize; 2]) -> Result<Option<R::Still>, PlayError> {
         let Some(Session { player, display: Some(display) }) = &mut self.session else { return Ok(None) };
-        let Some(moment) = player.current().filter(|moment| moment.is_whole) else { return Ok(None) };
         let camera = display.controls.camera(size);
-        let (background, light) = (self.background, player.light(moment.timestep));
+        player.look(&camera);
+        let Some(moment) = player.current().filter(|moment| player.is_due(moment, &camera)) else { return Ok(None) };
+        let (background, light) = (self.background, player.light(&moment));
         let request = PictureRequest { moment: &moment, camera: &camera, background, light };
         Ok(Some(display.renderer.begin_still(&request)?))
     }
 
-    /// Takes the pixels of a still that is ready, as [`SegmentRenderer::finish_still`] does.
+    /// Takes the pixels of a still that is ready, as [`Renderer::finish_still`] does.
     ///
     /// # Errors
     /// [`PlayError::Gpu`] if the GPU fails.
-    pub fn finish_still(&mut self, still: &Still) -> Result<Option<Vec<u8>>, PlayError> {
+    pub fn finish_still(&mut self, still: &R::Still) -> Result<Option<Vec<u8>>, PlayError> {
         match &mut self.session {
-            Some(Session { display: Some(display), .. }) => Ok(display.renderer.finish_still(still)?),
+            Some(Session { display: Some(display), .. }) => display.renderer.finish_still(still),
             _ => Ok(None),
         }
     }

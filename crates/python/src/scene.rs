@@ -327,7 +327,7 @@ impl PyScene {
     }
 
     /// Shows the player in a cell of Jupyter, served by this process until it ends. A scene that is not compressed is
-    /// shown as a compressed copy. The player needs a browser with WebGPU on this machine; if the kernel runs
+    /// shown as a compressed copy. The player needs a browser with WebGPU or WebGL2 on this machine; if the kernel runs
     /// elsewhere, forward the port of `address`.
     ///
     /// - height: height of the cell, pixels

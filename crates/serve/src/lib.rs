@@ -15,9 +15,11 @@
 
 mod http;
 mod server;
+mod single_file;
 mod training;
 
 pub use server::{FrameAncestors, PageFile, SceneSource, Server};
+pub use single_file::single_file;
 pub use training::{TRAINING_FILES, Training, TrainingFile};
 
 /// Files of the built page; empty if the page was not built before this program.

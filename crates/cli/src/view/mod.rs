@@ -113,7 +113,7 @@ const EXPECTED: &str = "a .tcgs file, which `tcgs compress` makes of other scene
 
 /// Refuses a file that the player could not open: one without the tables of a `.tcgs` file. The player itself reports
 /// damage after the tables.
-fn check_scene(path: &Path) -> anyhow::Result<()> {
+pub fn check_scene(path: &Path) -> anyhow::Result<()> {
     let refuse = |found: String| Err(wrong_input(format!("{}: {found}, expected {EXPECTED}", path.display())));
     let mut file = open_file(path).map_err(|error| unreadable(path, error, EXPECTED))?;
     let (mut start, mut needed) = (Vec::new(), MAGIC.len() as u64);

@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::io::{self, Read};
+use std::path::Path;
 
 use crate::support::server::*;
 use crate::support::*;
@@ -39,6 +40,27 @@ fn what_is_no_tcgs_file_is_refused_by_name() {
     fs::write(&newer, bytes).unwrap();
     let message = fail(2, &["view", text(&newer), "--no-open"]);
     assert!(message.contains("scene.tcgs: ") && message.contains("version"), "{message}");
+}
+
+#[test]
+fn a_scene_becomes_one_page() {
+    let folder = tempdir().unwrap();
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testdata/bitstream/v1/room_default.tcgs");
+    let page = folder.path().join("page.html");
+    let message = fail(2, &["export", text(&scene), "--frames", "0..1", "--to", text(&page)]);
+    assert!(message.contains("--frames 0..1 of a page, expected none"), "{message}");
+    let message = fail(2, &["export", text(&folder.path().join("no.tcgs")), "--to", text(&page)]);
+    assert!(message.contains("no.tcgs"), "{message}");
+    assert!(!page.exists());
+    if !has_page() {
+        return;
+    }
+    let said = succeed(&["export", text(&scene), "--to", text(&page)]);
+    let html = fs::read_to_string(&page).unwrap();
+    assert!(said.contains("page.html"), "{said}");
+    assert!(html.contains("data-scene=\"room_default.tcgs\"") && !html.contains(" src=\""));
+    let message = fail(2, &["export", text(&scene), "--to", text(&page)]);
+    assert!(message.contains("--force"), "{message}");
 }
 
 #[test]

@@ -1,40 +1,48 @@
 //! The player for a page: the classes `Viewer` and `CameraPath`.
 //!
+//! - `webgpu` or `webgl2`: the canvas, and where a scene is decoded; the features of the build choose one of them
+//! - `worker`: both ends of the way to the worker that decodes for `webgl2`
+//! - `source`, `global`: downloads and times, in pages and workers
+//!
 //! The state of a `Viewer` lies behind one `RefCell`, which is never borrowed across an `await`. So the page may call
 //! any method while a promise of another one is pending.
 
 mod attached;
 mod camera_path;
+#[cfg(not(feature = "webgpu"))]
+#[path = "webgl2.rs"]
+mod drawing;
+#[cfg(feature = "webgpu")]
+#[path = "webgpu.rs"]
+mod drawing;
+mod global;
 mod object;
 mod source;
+#[cfg(not(feature = "webgpu"))]
+mod worker;
 
 use std::cell::RefCell;
 use std::rc::Rc;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::task::{Poll, Waker};
 
 use js_sys::{Promise, Uint8ClampedArray};
 use tcgs_codec::FileCamera;
-use tcgs_render::gpu::Gpu;
 use wasm_bindgen::prelude::*;
 use wasm_bindgen_futures::{JsFuture, future_to_promise};
 
 use crate::error::{BadCamera, PlayError};
-use crate::player::PlayerSettings;
 use crate::viewer::Viewer;
+use drawing::{Canvas, CanvasRenderer, ScenePlayer, is_ready};
+use global::{now_ms, set_timeout};
 use object::{camera_object, camera_of, object};
-use source::WebSource;
 
 /// Milliseconds between two polls for a picture on its way from the GPU.
 const LOOK_MS: i32 = 2;
 
 /// State that a `Viewer` shares with its pending promises.
 struct ViewerState {
-    viewer: Viewer<WebSource>,
-    gpu: Gpu,
-    surface: wgpu::Surface<'static>,
-    format: wgpu::TextureFormat,
+    viewer: Viewer<ScenePlayer, CanvasRenderer>,
+    canvas: Canvas,
     /// Width and height of the canvas, device pixels.
     size: [usize; 2],
     /// Number of calls of `open`. The promise of an earlier call is rejected.
@@ -43,10 +51,6 @@ struct ViewerState {
     waker: Option<Waker>,
     is_open: bool,
     cameras: Vec<FileCamera>,
-    /// Frames submitted to the GPU, modulo 2³².
-    num_drawn: u32,
-    /// Frames that the GPU has finished, modulo 2³².
-    num_finished: Arc<AtomicU32>,
 }
 
 /// Draws scenes on a canvas, one at a time.
@@ -60,16 +64,10 @@ fn start() {
     std::panic::set_hook(Box::new(|info| web_sys::console::error_1(&info.to_string().into())));
 }
 
-fn now_ms() -> f64 {
-    web_sys::window().and_then(|window| window.performance()).map_or(0.0, |performance| performance.now())
-}
-
 /// Waits some milliseconds.
 async fn sleep(ms: i32) {
     let promise = Promise::new(&mut |resolve, _| {
-        if let Some(window) = web_sys::window() {
-            let _ = window.set_timeout_with_callback_and_timeout_and_arguments_0(&resolve, ms);
-        }
+        set_timeout(&resolve, ms);
     });
     let _ = JsFuture::from(promise).await;
 }
@@ -77,24 +75,14 @@ async fn sleep(ms: i32) {
 #[wasm_bindgen(js_class = Viewer)]
 impl WebViewer {
     /// Opens the browser's GPU for a canvas. Rejects with the code `no-webgpu` where the browser has no fitting GPU.
-    pub async fn create(canvas: web_sys::HtmlCanvasElement) -> Result<WebViewer, JsValue> {
+    ///
+    /// - `worker`: for WebGL2 a `Worker` that runs `workOnScenes`
+    pub async fn create(canvas: web_sys::HtmlCanvasElement, worker: JsValue) -> Result<WebViewer, JsValue> {
         let size = [canvas.width().max(1) as usize, canvas.height().max(1) as usize];
-        let (gpu, surface, format) = Gpu::of_canvas(canvas).await.map_err(PlayError::from)?;
-        let viewer = Viewer::new(gpu.clone(), format);
-        let state = ViewerState {
-            viewer,
-            gpu,
-            surface,
-            format,
-            size,
-            opening: 0,
-            waker: None,
-            is_open: false,
-            cameras: Vec::new(),
-            num_drawn: 0,
-            num_finished: Arc::default(),
-        };
-        state.configure();
+        let (mut canvas, device) = Canvas::create(canvas, worker).await?;
+        let viewer = Viewer::new(device);
+        let size = canvas.resize(size);
+        let state = ViewerState { viewer, canvas, size, opening: 0, waker: None, is_open: false, cameras: Vec::new() };
         Ok(Self { state: Rc::new(RefCell::new(state)) })
     }
 
@@ -106,17 +94,17 @@ impl WebViewer {
     #[wasm_bindgen(unchecked_return_type = "Promise<void>")]
     pub fn open(&self, source: JsValue, timestep: Option<u32>) -> Promise {
         let state = self.state.clone();
-        let source = match WebSource::new(&source) {
-            Ok(source) => source,
-            Err(problem) => return Promise::reject(&PlayError::from(problem).into()),
+        let opened = state.borrow_mut().canvas.player(&source, timestep.unwrap_or(0) as usize);
+        let (player, wake_by) = match opened {
+            Ok(opened) => opened,
+            Err(problem) => return Promise::reject(&problem.into()),
         };
-        let wake_by = source.wakes();
         let turn = {
             let mut state = state.borrow_mut();
             state.opening += 1;
             state.is_open = false;
             state.cameras.clear();
-            state.viewer.open(source, PlayerSettings::default(), timestep.unwrap_or(0) as usize);
+            state.viewer.open(player);
             // Wakes the promise of the scene before, which then rejects.
             if let Some(waker) = state.waker.take() {
                 waker.wake();
@@ -187,7 +175,7 @@ impl WebViewer {
         } else if let Some(waker) = state.waker.take() {
             waker.wake();
         }
-        let drawn = state.draw()?;
+        let drawn = state.canvas.draw(&mut state.viewer, state.size)?;
         let gaussians = state.viewer.info().map_or(0, |info| info.num_gaussians);
         let frame = drawn.as_ref();
         Ok(object([
@@ -207,8 +195,12 @@ impl WebViewer {
     /// Number of frames that the GPU has not finished yet. A page waits until it is small before it draws, because
     /// browsers accept any number of frames and the GPU would fall further and further behind.
     pub fn pending(&self) -> u32 {
-        let state = self.state.borrow();
-        state.num_drawn.wrapping_sub(state.num_finished.load(Ordering::Relaxed))
+        self.state.borrow_mut().canvas.pending()
+    }
+
+    /// Throws an error of code `device-lost` if the GPU does not work any more.
+    pub fn check(&self) -> Result<(), JsValue> {
+        Ok(self.state.borrow().canvas.check()?)
     }
 
     /// Lets time pass.
@@ -253,12 +245,7 @@ impl WebViewer {
     /// Sets the canvas' size in device pixels, or the nearest that the GPU allows.
     pub fn resize(&self, width: u32, height: u32) {
         let mut state = self.state.borrow_mut();
-        let most = state.gpu.device().limits().max_texture_dimension_2d;
-        let size = [width, height].map(|side| side.clamp(1, most) as usize);
-        if state.size != size {
-            state.size = size;
-            state.configure();
-        }
+        state.size = state.canvas.resize([width.max(1) as usize, height.max(1) as usize]);
     }
 
     /// Moves the camera around the pivot, by radians to the right and down. The scene follows the pointer.
@@ -344,8 +331,8 @@ impl WebViewer {
                 };
                 sleep(LOOK_MS).await;
                 let Some(still) = still else { continue };
-                while !still.is_ready() {
-                    state.borrow().gpu.check().map_err(PlayError::from)?;
+                while !is_ready(&still) {
+                    state.borrow().canvas.check()?;
                     sleep(LOOK_MS).await;
                 }
                 let mut state = state.borrow_mut();
@@ -374,44 +361,6 @@ impl WebViewer {
         if let Some(controls) = self.state.borrow_mut().viewer.controls_mut() {
             action(controls);
         }
-    }
-}
-
-impl ViewerState {
-    fn configure(&self) {
-        self.surface.configure(
-            self.gpu.device(),
-            &wgpu::SurfaceConfiguration {
-                usage: wgpu::TextureUsages::RENDER_ATTACHMENT,
-                format: self.format,
-                color_space: wgpu::SurfaceColorSpace::Auto,
-                width: self.size[0] as u32,
-                height: self.size[1] as u32,
-                present_mode: wgpu::PresentMode::Fifo,
-                desired_maximum_frame_latency: 2,
-                alpha_mode: wgpu::CompositeAlphaMode::Opaque,
-                view_formats: Vec::new(),
-            },
-        );
-    }
-
-    fn draw(&mut self) -> Result<Option<crate::FrameReport>, PlayError> {
-        let texture = match self.surface.get_current_texture() {
-            wgpu::CurrentSurfaceTexture::Success(texture) | wgpu::CurrentSurfaceTexture::Suboptimal(texture) => texture,
-            _ => {
-                self.gpu.check()?;
-                return Ok(None);
-            }
-        };
-        let view = texture.texture.create_view(&wgpu::TextureViewDescriptor::default());
-        let frame = self.viewer.draw(self.size, &view)?;
-        self.num_drawn = self.num_drawn.wrapping_add(1);
-        let finished = self.num_finished.clone();
-        self.gpu.queue().on_submitted_work_done(move || {
-            finished.fetch_add(1, Ordering::Relaxed);
-        });
-        self.gpu.queue().present(texture);
-        Ok(frame)
     }
 }
 

@@ -3,12 +3,14 @@
 use std::cell::RefCell;
 use std::ops::Range;
 use std::rc::Rc;
+#[cfg(feature = "webgpu")]
 use std::task::Waker;
 
 use js_sys::{Reflect, Uint8Array};
 use wasm_bindgen::{JsCast, JsValue};
 use wasm_bindgen_futures::{JsFuture, spawn_local};
 
+use super::global::fetch;
 use crate::download::{AnswerHead, Inbox};
 use crate::source::{Piece, RangeSource, SourceError};
 
@@ -45,6 +47,7 @@ impl WebSource {
     }
 
     /// Takes the waker that the next piece wakes.
+    #[cfg(feature = "webgpu")]
     pub fn wakes(&self) -> impl Fn(Waker) + use<> {
         let inbox = self.inbox.clone();
         move |waker| inbox.borrow_mut().wake_by(waker)
@@ -120,15 +123,12 @@ async fn download(
     signal: Option<&web_sys::AbortSignal>,
 ) -> Result<(), SourceError> {
     let interrupted = |error: JsValue| SourceError::Interrupted { what: url.into(), problem: describe(&error) };
-    let refused = |problem: String| SourceError::Refused { what: url.into(), problem };
-
     let headers = web_sys::Headers::new().map_err(interrupted)?;
     headers.set("Range", &format!("bytes={}-{}", range.start, range.end - 1)).map_err(interrupted)?;
     let options = web_sys::RequestInit::new();
     options.set_headers(&headers);
     options.set_signal(signal);
-    let window = web_sys::window().ok_or_else(|| refused("there is no window".into()))?;
-    let answer = JsFuture::from(window.fetch_with_str_and_init(url, &options)).await.map_err(interrupted)?;
+    let answer = JsFuture::from(fetch(url, &options)).await.map_err(interrupted)?;
     let answer: web_sys::Response = answer.dyn_into().map_err(interrupted)?;
     if !inbox.borrow().is_current(request) {
         return Ok(());

@@ -37,7 +37,7 @@ fn num_timesteps(file: &[u8]) -> usize {
     moment(file, 0).segments[0].info().num_timesteps as usize
 }
 
-fn still(gpu: &Gpu, renderer: &mut SegmentRenderer, request: &PictureRequest<'_>) -> Vec<u8> {
+fn still(gpu: &Gpu, renderer: &mut SegmentRenderer, request: &PictureRequest<'_, Moment>) -> Vec<u8> {
     for _ in 0..4 {
         let still = renderer.begin_still(request).unwrap();
         gpu.wait().unwrap();
@@ -319,11 +319,11 @@ fn texture(gpu: &Gpu, width: u32, height: u32) -> wgpu::TextureView {
 fn a_viewer_plays_pauses_and_takes_stills() {
     let Some(gpu) = gpu() else { return };
     let file = room_file(500, 12, &CompressSettings { segment_length: Some(5), ..Default::default() });
-    let mut viewer = Viewer::new(gpu.clone(), FORMAT);
+    let mut viewer: Viewer<_, SegmentRenderer> = Viewer::new((gpu.clone(), FORMAT));
     let target = texture(&gpu, 96, 64);
     assert_eq!(viewer.draw([96, 64], &target).unwrap(), None);
     assert!(!viewer.update(0.0).unwrap());
-    viewer.open(BytesSource::new(&file[..]), settings(1 << 30), 7);
+    viewer.open(Player::new(BytesSource::new(&file[..]), settings(1 << 30), 7));
     while !viewer.update(0.0).unwrap() {}
     let frame = viewer.draw([96, 64], &target).unwrap().unwrap();
     assert_eq!((frame.timestep, frame.is_playing, frame.is_buffering, frame.is_drawn), (7, false, false, true));
@@ -342,7 +342,7 @@ fn a_viewer_plays_pauses_and_takes_stills() {
     assert!(share_alike(&pixels, &expected) >= 0.999);
 
     // Another file takes its place; an invalid one leaves nothing.
-    viewer.open(BytesSource::new(&b"something else"[..]), settings(1 << 30), 0);
+    viewer.open(Player::new(BytesSource::new(&b"something else"[..]), settings(1 << 30), 0));
     assert_eq!(viewer.update(200.0).unwrap_err().code(), ErrorCode::NotTcgs);
     assert_eq!(viewer.draw([96, 64], &target).unwrap(), None);
 }
