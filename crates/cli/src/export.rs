@@ -18,7 +18,7 @@ use crate::terminal::{note, say};
 use crate::view::check_scene;
 
 /// Largest scene in a page, bytes. Browsers hold no longer texts than half a gigabyte.
-const MAX_PAGE_SCENE: u64 = 1 << 28;
+pub const MAX_PAGE_SCENE: u64 = 1 << 28;
 
 /// Export a scene for other programs
 ///

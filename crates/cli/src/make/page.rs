@@ -4,14 +4,17 @@ use std::path::Path;
 
 use serde_json::Value;
 use tcgs_capture::{Capture, Split};
-use tcgs_core::{Camera, cameras_between, read_text};
+use tcgs_core::{Camera, cameras_between, read_file, read_text};
 use tcgs_pipeline::{EvaluateSettings, Evaluation, OpenScene, OpenSettings, capture_for, evaluate};
 use tcgs_render::{DrawAny, RenderSettings};
+use tcgs_report::plot::escape;
 use tcgs_report::{Picture, document, list, pictures, png, psnr_over_time, seconds, section, summary};
+use tcgs_serve::{PAGE, single_file};
 
 use super::budget::Plan;
 use super::record::Record;
 use crate::backend::{BackendName, BackendOptions};
+use crate::export::MAX_PAGE_SCENE;
 use crate::next;
 use crate::output::show_bytes;
 use crate::pictures::{rgb, series, side_by_side, spread};
@@ -80,8 +83,7 @@ pub fn make(
         ("pixels of an image", format!("{}x{}", plan.size[0], plan.size[1])),
     ];
     let mut body = summary(&figures.map(|(name, value)| (name.into(), value)));
-    let look = format!("tcgs view {}", next::quoted(&file.canonicalize().unwrap_or_else(|_| file.into())));
-    section(&mut body, "Play it", "This command opens the scene in a browser.", &list([look.as_str()]));
+    play(&mut body, file);
     let beside = pairs(&scene, &capture, split, plan.downscale, &*renderer)?;
     section(&mut body, "Pictures", &format!("Photograph and render, of {of}."), &pictures(&beside));
     let note = "Renders from half way between the cameras, where there is no photograph to compare with.";
@@ -95,6 +97,24 @@ pub fn make(
     section(&mut body, "Commands", "Each step is a command that can be repeated with other options.", &list(commands));
     let name = file.file_stem().unwrap_or_default().to_string_lossy();
     Ok(Results { html: document(&name, &body), line, bytes: scene.bytes, psnr, held_out })
+}
+
+/// The player with the scene. Without a player in this program, or for a scene too large for a page, names the command.
+fn play(body: &mut String, file: &Path) {
+    let name = file.file_name().unwrap_or_default().to_string_lossy();
+    if let Ok(player) = read_file(file, MAX_PAGE_SCENE).and_then(|scene| single_file(PAGE, &name, &scene)) {
+        let note = "Drag to turn, scroll to zoom, space to pause.";
+        // The frame is a page of its own, so that the styles of both do not mix.
+        let frame = format!(
+            "<iframe title=\"The scene\" allow=\"fullscreen\" loading=\"lazy\" style=\"width: 100%; aspect-ratio: 16 / 9; \
+             border: 0\" srcdoc=\"{}\"></iframe>\n",
+            escape(&player)
+        );
+        section(body, "Play it", note, &frame);
+        return;
+    }
+    let look = format!("tcgs view {}", next::quoted(&file.canonicalize().unwrap_or_else(|_| file.into())));
+    section(body, "Play it", "This command opens the scene in a browser.", &list([look.as_str()]));
 }
 
 /// The quality of some frames.

@@ -2,6 +2,7 @@
 
 use std::fs;
 
+use crate::support::server::has_page;
 use crate::support::videos::*;
 use crate::support::*;
 use tempfile::tempdir;
@@ -49,6 +50,7 @@ fn videos_become_a_scene_and_a_page() {
         assert!(page.contains(expected), "{expected}");
     }
     assert!(!page.contains("Not measured"));
+    assert_eq!(page.contains("srcdoc=") && page.contains("data-scene="), has_page());
 
     // Finished steps are not repeated.
     let before = fs::read(&scene).unwrap();
