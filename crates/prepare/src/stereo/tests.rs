@@ -244,10 +244,10 @@ fn the_hull_of_a_ball_is_the_ball() {
         .iter()
         .map(|pinhole| {
             let sees = |pixel: usize| {
-                let ray = tcgs_core::normalize(pinhole.ray(pinhole.pixel_center(pixel)));
+                let ray = normalize(pinhole.ray(pinhole.pixel_center(pixel)));
                 let to = tcgs_core::sub(center, pinhole.center);
-                let along = tcgs_core::dot(to, ray);
-                tcgs_core::dot(to, to) - along * along < radius * radius
+                let along = dot(to, ray);
+                dot(to, to) - along * along < radius * radius
             };
             (0..96 * 96).map(sees).collect()
         })
