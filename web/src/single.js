@@ -8,7 +8,9 @@ async function unpack(text) {
 }
 
 const files = new Map();
-for (const part of document.querySelectorAll("script[data-file]")) files.set(part.dataset.file, await unpack(part.textContent));
+for (const part of document.querySelectorAll("script[data-file]")) {
+  files.set(part.dataset.file, await unpack(part.textContent));
+}
 const scene = document.querySelector("script[data-scene]");
 globalThis.tcgsScene = new File([await unpack(scene.textContent)], scene.dataset.scene);
 

@@ -37,8 +37,8 @@ pub const MAX_PAGE_SCENE: u64 = 1 << 28;
 /// little-endian. A run is exported in floats, without the Gaussians that its masks prune: these files cannot hold
 /// masks.
 ///
-/// A .html file is the player with the scene in it, of a .tcgs file. A browser opens it from a disk, without a server and
-/// without a network.
+/// A .html file is the player with a .tcgs file in it. A browser opens it from a disk, without a server and without a
+/// network.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:

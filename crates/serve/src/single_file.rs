@@ -15,8 +15,8 @@ const ENGINE: &str = "engine-webgl2/";
 /// Modules of the built page that only other pages load.
 const FOR_OTHERS: [&str; 4] = ["decoder.js", "element.js", "single.js", "tcgs-player.js"];
 
-/// The page with one scene as HTML, about half a megabyte longer than 4/3 of the scene. It needs no server and loads nothing.
-/// It draws with WebGL2.
+/// The page with one scene as HTML, about half a megabyte longer than 4/3 of the scene. It needs no server, loads nothing, and
+/// draws with WebGL2.
 ///
 /// - `page`: [`PAGE`](crate::PAGE)
 /// - `name`: of the scene's file
@@ -40,7 +40,7 @@ pub fn single_file(page: &[PageFile], name: &str, scene: &[u8]) -> io::Result<St
     let mut html = text("index.html")?;
     let icon = BASE64_STANDARD.encode(text("icon.svg")?);
     let changes = [
-        // What the page may load: its own texts alone.
+        // The page may load nothing but its own texts.
         ("script-src 'self'", "script-src 'unsafe-inline' blob:".to_owned()),
         ("style-src 'self'", "style-src 'unsafe-inline'".to_owned()),
         ("href=\"icon.svg\"", format!("href=\"data:image/svg+xml;base64,{icon}\"")),

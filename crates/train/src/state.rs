@@ -145,8 +145,8 @@ pub struct State {
     pub statistic: GradientStatistic,
     /// Index of the current timestep, counted from the run's first.
     pub timestep: usize,
-    /// Number of Gaussians, the last ones, that are drawn but not trained: in the first timestep those that stand in no
-    /// training image, of which only the edges show.
+    /// Number of Gaussians that are drawn but not trained; they are the last ones. In the first timestep these stand in no
+    /// training image, and images show only their edges.
     pub num_fixed: usize,
 }
 
@@ -180,7 +180,7 @@ impl State {
     }
 
     /// Replaces the Gaussians by `rows` of them, with all data of each: values, identity, moments, bit widths, its past
-    /// and its share of the statistic. Those that are not trained stay the last.
+    /// and its share of the statistic. Gaussians that are not trained stay the last.
     pub fn gather(&mut self, rows: &[Row]) {
         let indices: Vec<usize> = rows.iter().map(|row| row.source()).collect();
         let num_trained = self.num_trained();

@@ -31,11 +31,11 @@ const MOST_REMOVED: f32 = 0.4;
 /// A wall of points at the initial opacity of 0.5 shows what lies behind it.
 const OPAQUE: f32 = 3.0;
 
-/// Growth of the scales of the former at each removal, as its logarithm, until they close the gaps between them. The latter
-/// may stand right before other cameras, which they would veil.
+/// Growth of the scales of what only cameras between show, at each removal, as its logarithm. It closes gaps. What stands in
+/// no image does not grow: it may stand close to other cameras, and would veil them.
 const GROWTH: f32 = 0.3;
 
-/// Largest scale of a Gaussian, as a share of its distance from the nearest camera. What is larger veils whole pictures.
+/// Largest scale of a Gaussian, as a share of its distance from the nearest camera. Larger ones veil whole pictures.
 const LARGEST: f32 = 0.2;
 
 /// The rules of the first timestep.
