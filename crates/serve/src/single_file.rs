@@ -41,7 +41,7 @@ pub fn single_file(page: &[PageFile], name: &str, scene: &[u8]) -> io::Result<St
     let icon = BASE64_STANDARD.encode(text("icon.svg")?);
     let changes = [
         // The page may load nothing but its own texts.
-        ("script-src 'self'", "script-src 'unsafe-inline' blob:".to_owned()),
+        ("script-src 'self'", "script-src 'unsafe-inline' blob: data:".to_owned()),
         ("style-src 'self'", "style-src 'unsafe-inline'".to_owned()),
         ("href=\"icon.svg\"", format!("href=\"data:image/svg+xml;base64,{icon}\"")),
         ("<link rel=\"stylesheet\" href=\"style.css\">", format!("<style>\n{}</style>", text("style.css")?)),
