@@ -35,8 +35,9 @@ const OPAQUE: f32 = 3.0;
 /// no image does not grow: it may stand close to other cameras, and would veil them.
 const GROWTH: f32 = 0.3;
 
-/// Largest scale of a Gaussian, as a share of its distance from the nearest camera. Larger ones veil whole pictures.
-const LARGEST: f32 = 0.2;
+/// Largest scale of a Gaussian, in spacings of as many Gaussians that lie evenly in all directions around the nearest camera.
+/// Larger ones veil whole pictures.
+const LARGEST: f32 = 16.0;
 
 /// The rules of the first timestep.
 #[derive(Clone, Debug)]
@@ -182,13 +183,19 @@ impl FirstTimestep {
     }
 }
 
-/// Bounds the scales of all Gaussians by their distances from the nearest camera.
+/// The largest scale of one of so many Gaussians, as a share of its distance from the nearest camera.
+fn largest_share(num_gaussians: usize) -> f32 {
+    LARGEST * (4.0 * std::f32::consts::PI / num_gaussians as f32).sqrt()
+}
+
+/// Bounds the scales of all Gaussians by their number and by their distances from the nearest camera.
 fn bound_scales(gaussians: &mut Gaussians, views: &[View]) {
     let centers: Vec<[f32; 3]> = views.iter().map(|view| Pinhole::<f32>::new(&view.camera).center).collect();
+    let share = largest_share(gaussians.num_gaussians());
     let v = gaussians.views_mut();
     for (log_scale, &mean) in v.log_scales.iter_mut().zip(v.means.iter()) {
         let nearest = centers.iter().map(|&center| distance(center, mean)).fold(f32::INFINITY, f32::min);
-        let most = (LARGEST * nearest).ln();
+        let most = (share * nearest).ln();
         *log_scale = log_scale.map(|s| s.min(most));
     }
 }
@@ -265,6 +272,6 @@ mod tests {
         state.parameters.gaussians.log_scales_mut()[3] = [-1.0, 9.0, 2.0];
         rules.reshape(&mut state, 900, 0, &views);
         let distance = (48.0_f32 * 48.0 + 16.0).sqrt();
-        assert_eq!(state.parameters.gaussians.log_scales()[3], [-1.0, (LARGEST * distance).ln(), 2.0]);
+        assert_eq!(state.parameters.gaussians.log_scales()[3], [-1.0, (largest_share(4) * distance).ln(), 2.0]);
     }
 }
