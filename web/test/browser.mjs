@@ -392,6 +392,8 @@ test("a scene without antialiasing shows in WebGL2 as tcgs renders it", async (t
 
 const renderer = async (page) => {
   if (!(await page.isVisible("#stats"))) await page.keyboard.press("i");
+  // The next frame fills the statistics in.
+  await page.waitForFunction(() => document.querySelector("#stat-renderer").textContent !== "");
   return page.textContent("#stat-renderer");
 };
 /** Paths of the modules of WebAssembly that a page asks for. */
