@@ -50,7 +50,7 @@ async function played(t, address, name) {
   assert.equal(await text("#stat-renderer"), "WebGL2");
   const first = await text("#frame-number");
   await page.waitForFunction((n) => document.querySelector("#frame-number").textContent !== n, {}, first);
-  await page.keyboard.press("Space");
+  await page.keyboard.press(" ");
   await page.waitForSelector("#canvas[data-resting]");
   const picture = await page.screenshot();
   if (SHOTS) writeFileSync(join(SHOTS, `firefox-${name}.png`), picture);
