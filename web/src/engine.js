@@ -1,11 +1,11 @@
-// Chooses the renderer: WebGPU where it works, else WebGL2. Each is a module of WebAssembly, and a page loads one of them.
+// Chooses the renderer: WebGPU where it works, else WebGL2. Each is a module of WebAssembly; a page loads one of them.
 
 /** Milliseconds until WebGPU counts as one that does not answer. */
 export const PATIENCE_MS = 20_000;
 
 /**
- * `viewer` is the module's `Viewer`, on `canvas`. `reason` says why WebGPU does not draw. It is null if WebGPU draws, was not
- * wanted, or is unknown to the browser.
+ * `viewer` is the module's `Viewer`, on `canvas`. `reason` says why WebGPU does not draw. It is null if WebGPU draws, was
+ * not wanted, or is unknown to the browser.
  * @typedef {{
  *   name: "WebGPU" | "WebGL2", viewer: any, CameraPath: any, canvas: HTMLCanvasElement, reason: string | null
  * }} Engine

@@ -14,7 +14,7 @@ import { cards, element, idling, playback, shortcuts, showCard, statistics, toas
 
 const params = readParams(location.search);
 const named = (what) => document.querySelector(`meta[name=tcgs-${what}]`).content;
-const player = new Player(element("canvas"), { ...params, renderer: params.renderer ?? (named("renderer") || null) });
+const player = new Player(element("canvas"), { ...params, renderer: named("renderer") || params.renderer });
 const file = element("file");
 const choose = () => file.click();
 

@@ -47,7 +47,7 @@ async function played(t, address, name) {
   await page.goto(`${address}?stats=1&dpr=1`);
   await page.waitForSelector("body.has-scene");
   const text = (id) => page.evaluate((id) => document.querySelector(id).textContent, id);
-  assert.equal(await text("#stat-renderer"), "WebGL2");
+  await page.waitForFunction(() => document.querySelector("#stat-renderer").textContent === "WebGL2");
   const first = await text("#frame-number");
   await page.waitForFunction((n) => document.querySelector("#frame-number").textContent !== n, {}, first);
   await page.keyboard.press(" ");
@@ -60,6 +60,9 @@ async function played(t, address, name) {
 
 test("a scene plays", async (t) => {
   const page = await played(t, server.address, "served");
+  // Statistics change without the scene.
+  await page.keyboard.press("i");
+  await page.waitForFunction(() => document.querySelector("#stats").hidden);
   const before = await page.screenshot();
   await page.keyboard.press("ArrowLeft");
   await page.waitForFunction(() => document.querySelector("#canvas[data-resting]") === null);

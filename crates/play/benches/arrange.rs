@@ -16,7 +16,7 @@ mod support;
 const NUM_GAUSSIANS: usize = 200_000;
 const NUM_TIMESTEPS: usize = 30;
 
-/// Pixels of all quads: four times the product of the half axes, clipped nowhere; and how many quads there are.
+/// Number of pixels of all quads, without clipping: four times the product of the half axes of each.
 fn fragments(moment: &Moment, order: &[u32], camera: &Camera) -> f64 {
     let drawable = Drawable::new(&moment.gaussians()).seen_by(camera);
     let view = SplatCamera::<f32>::new(camera);

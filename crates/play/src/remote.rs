@@ -15,7 +15,7 @@ use crate::player::{PlayerSettings, Tables};
 use crate::start_view::StartView;
 use crate::viewer::Feed;
 
-/// What the page wants: a timestep as a camera sees it.
+/// A request of the page: a timestep as a camera sees it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Request {
     /// Number of the request, from 1.
@@ -152,7 +152,7 @@ impl<L: Link> RemotePlayer<L> {
                 is_antialiased: reply.is_antialiased,
                 rows,
                 order: Rc::new(order),
-                // Of the request before, if the worker did not have the last one.
+                // An answer to an earlier request is for an unknown camera.
                 camera: self.asked.camera.clone().filter(|_| reply.id == self.asked.id),
             });
         }

@@ -1,4 +1,4 @@
-//! What a viewer asks of a renderer. `segment_renderer` draws with wgpu; `web/webgl2` with WebGL2.
+//! The interface between viewer and renderer. `segment_renderer` draws with wgpu; `web/webgl2` with WebGL2.
 
 use tcgs_core::Camera;
 
@@ -23,9 +23,9 @@ pub struct PictureRequest<'a, M> {
 pub trait Renderer: Sized {
     /// A timestep in the form that this renderer draws.
     type Moment;
-    /// What outlives a scene.
+    /// The parts that outlive a scene.
     type Device;
-    /// What is drawn to.
+    /// The place to draw to.
     type Target;
     /// A picture on its way to its pixels.
     type Still;

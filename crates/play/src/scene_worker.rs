@@ -1,4 +1,4 @@
-//! The side of the worker: a player that decodes, and an arranger that prepares the timestep that the page asks for.
+//! The side of the worker: a player decodes, and an arranger prepares the timestep of the page's request.
 
 use crate::arrange::Arranger;
 use crate::error::PlayError;

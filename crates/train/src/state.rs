@@ -145,8 +145,8 @@ pub struct State {
     pub statistic: GradientStatistic,
     /// Index of the current timestep, counted from the run's first.
     pub timestep: usize,
-    /// Number of Gaussians that are drawn but not trained; they are the last ones. In the first timestep these stand in no
-    /// training image, and images show only their edges.
+    /// Number of Gaussians that are drawn but not trained; they are the last ones. In the first timestep these stand in
+    /// no training image, and images show only their edges.
     pub num_fixed: usize,
 }
 

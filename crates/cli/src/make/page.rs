@@ -106,8 +106,8 @@ fn play(body: &mut String, file: &Path) {
         let note = "Drag to turn, scroll to zoom, space to pause.";
         // The frame is a page of its own, so that the styles of both do not mix.
         let frame = format!(
-            "<iframe title=\"The scene\" allow=\"fullscreen\" loading=\"lazy\" style=\"width: 100%; aspect-ratio: 16 / 9; \
-             border: 0\" srcdoc=\"{}\"></iframe>\n",
+            "<iframe title=\"The scene\" allow=\"fullscreen\" loading=\"lazy\" \
+             style=\"width: 100%; aspect-ratio: 16 / 9; border: 0\" srcdoc=\"{}\"></iframe>\n",
             escape(&player)
         );
         section(body, "Play it", note, &frame);

@@ -113,9 +113,11 @@ impl Arranger {
         has_changed
     }
 
-    /// The rows of the last [`Self::arrange`], [`ROW_WORDS`] words each: bits of the mean (3), halves of red and green;
-    /// bits of the unit quaternion `w, x, y, z` (4); bits of the scales (3), halves of blue and opacity. The number of
-    /// rows is a multiple of [`LINE`].
+    /// The rows of the last [`Self::arrange`], [`ROW_WORDS`] words each. The number of rows is a multiple of [`LINE`].
+    ///
+    /// - words 0 to 3: bits of the mean, halves of red and green
+    /// - words 4 to 7: bits of the unit quaternion `w, x, y, z`
+    /// - words 8 to 11: bits of the scales, halves of blue and opacity
     pub fn rows(&self) -> &[u32] {
         bytemuck::cast_slice(&self.rows)
     }

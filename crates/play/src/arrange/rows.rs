@@ -1,4 +1,4 @@
-//! A row: an activated Gaussian in three texels of four words, as the vertex shader of `web/webgl2.rs` reads it.
+//! A row: an activated Gaussian in three texels of four words, as `web/quad.vert.glsl` reads it.
 //!
 //! Means, rotations and scales keep their 32 bits. Colours and opacities are halves, of 11 significant bits: in [0, 1]
 //! they err by at most a sixteenth of a step of 8 bits.

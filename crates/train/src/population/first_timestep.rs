@@ -31,12 +31,12 @@ const MOST_REMOVED: f32 = 0.4;
 /// A wall of points at the initial opacity of 0.5 shows what lies behind it.
 const OPAQUE: f32 = 3.0;
 
-/// Growth of the scales of what only cameras between show, at each removal, as its logarithm. It closes gaps. What stands in
-/// no image does not grow: it may stand close to other cameras, and would veil them.
+/// Growth of the scales of what only cameras between show, at each removal, as its logarithm. It closes gaps. What
+/// stands in no image does not grow: it may stand close to other cameras, and would veil them.
 const GROWTH: f32 = 0.3;
 
-/// Largest scale of a Gaussian, in spacings of as many Gaussians that lie evenly in all directions around the nearest camera.
-/// Larger ones veil whole pictures.
+/// Largest scale of a Gaussian, in spacings of as many Gaussians that lie evenly in all directions around the nearest
+/// camera. Larger ones veil whole pictures.
 const LARGEST: f32 = 16.0;
 
 /// The rules of the first timestep.
@@ -107,10 +107,11 @@ impl FirstTimestep {
             let num_trained = state.num_trained();
             let fixed = num_trained..state.parameters.num_gaussians();
             let v = state.parameters.gaussians.views_mut();
-            for i in between.into_iter().filter(|&i| i < num_trained).chain(fixed) {
+            for &i in between.iter().filter(|&&i| i < num_trained) {
+                v.log_scales[i].iter_mut().for_each(|log_scale| *log_scale += GROWTH);
+            }
+            for i in between.into_iter().chain(fixed) {
                 v.logit_opacities[i] = v.logit_opacities[i].max(OPAQUE);
-                let growth = if i < num_trained { GROWTH } else { 0.0 };
-                v.log_scales[i].iter_mut().for_each(|log_scale| *log_scale += growth);
             }
             remove_others(state, &rows);
         }

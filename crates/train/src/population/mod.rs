@@ -48,8 +48,8 @@ use crate::state::State;
 /// The points at which a run's first Gaussians stand.
 ///
 /// - `cameras`: of the first timestep's training views
-/// - returns: also how many of them, the last ones, are not trained in the first timestep. These are in no image. All are
-///   trained where no Gaussian is removed by a measured error.
+/// - returns: also how many of them, the last ones, are not trained in the first timestep. These are in no image. All
+///   are trained where no Gaussian is removed by a measured error.
 pub(crate) fn initial_points(config: &TrainConfig, cloud: &PointCloud, cameras: &[Camera]) -> (PointCloud, usize) {
     if config.densify.prune_error > 0.0 { unseen_last(cloud, cameras) } else { (cloud.clone(), 0) }
 }
