@@ -49,7 +49,7 @@ fn frames(criterion: &mut Criterion) {
         arranger.order().len(),
         1e-6 * fragments(&first, arranger.order(), &camera)
     );
-    assert!(arranger.order().len() > NUM_GAUSSIANS / 2);
+    assert!(arranger.order().len() > NUM_GAUSSIANS / 4);
 
     let mut group = criterion.benchmark_group(format!("{NUM_GAUSSIANS} Gaussians"));
     group.sample_size(20);
