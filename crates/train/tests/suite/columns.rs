@@ -8,7 +8,7 @@ use tcgs_codec::{CompressSettings, SceneInfo};
 use tcgs_core::{Attribute, Camera, Column, Gaussians, Layout, View};
 use tcgs_train::engine::Engine;
 use tcgs_train::engine::cpu::CpuEngine;
-use tcgs_train::{Parameters, Run, State, TrainConfig, Trainer};
+use tcgs_train::{BirthConfig, Parameters, Run, State, TrainConfig, Trainer};
 
 /// One column of two components that varies and is quantised, one of one component that is learned once and is not.
 fn layout() -> (Arc<Layout>, Attribute, Attribute) {
@@ -51,6 +51,7 @@ fn a_made_up_column_is_trained_saved_resumed_and_selected() {
     let mut config = TrainConfig::default();
     (config.schedule.first_iterations, config.schedule.rest_iterations) = (100, 12);
     config.densify.interval = 20;
+    config.births = BirthConfig::OFF;
     let cloud = capture.point_cloud().unwrap();
     let mut parameters = Parameters::from_cloud(&cloud, cameras.len(), config.mask.initial_logit);
     let mut gaussians = std::mem::take(&mut parameters.gaussians).extended(&layout);
