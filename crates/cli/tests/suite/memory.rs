@@ -38,14 +38,14 @@ fn limited(kilobytes: u64, arguments: &[&str]) -> Output {
 
 #[test]
 fn hundreds_of_timesteps_fit_where_thirty_do() {
-    let num_timesteps = 400;
+    let num_timesteps = 250;
     let folder = tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     write_synthetic(&path("capture"), &long(num_timesteps)).unwrap();
     let (capture, short, long, tight) = (path("capture"), path("short"), path("long"), path("tight"));
     let most = peak(&arguments(&capture, &short, "0..30"));
     assert!(most > 0);
-    // The floats of 370 more timesteps would be 45 MB.
+    // The floats of 220 more timesteps would be 27 MB.
     let slack = (16 * 1024).min(most / 10);
     let output = limited(most + slack, &arguments(&capture, &long, &format!("0..{num_timesteps}")));
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
