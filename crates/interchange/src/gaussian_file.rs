@@ -52,10 +52,16 @@ impl FileKind {
     }
 }
 
-/// Reads the Gaussians of one file in stored form. It may be a PLY file of 3D Gaussian splatting or a compressed one,
-/// an SPZ file, a glTF file with `KHR_gaussian_splatting`, a SOG file, the `meta.json` of an unpacked SOG, a `.splat` or
-/// a `.ksplat` file. All come in the axes of PLY files: x right, y down, z forward. A file's own axes are those of the
-/// settings, else those that it declares, else those of its kind ([`ReadSettings::axes`]).
+/// Reads the Gaussians of one file in stored form. The file is one of these:
+///
+/// - a PLY file of 3D Gaussian splatting, or a compressed one
+/// - an SPZ file
+/// - a glTF file with `KHR_gaussian_splatting`
+/// - a SOG file, or the `meta.json` of an unpacked SOG
+/// - a `.splat` or a `.ksplat` file
+///
+/// All come in the axes of PLY files: x right, y down, z forward. A file's own axes are those of the settings, else
+/// those that it declares, else those of its kind ([`ReadSettings::axes`]).
 ///
 /// ```no_run
 /// use tcgs_interchange::{ReadSettings, read_gaussians};

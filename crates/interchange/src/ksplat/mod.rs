@@ -1,8 +1,8 @@
 //! One `.ksplat` file of `GaussianSplats3D`, version 0.1: one timestep. `table` reads where its parts are. All numbers
 //! are little-endian.
 //!
-//! Behind the table each section has three parts: the lengths of its partial buckets in 32 bits each, the middles of
-//! all its buckets as three floats each, and a row for each Gaussian, bucket by bucket. Full buckets come first.
+//! Sections follow the table. A section has three parts: the lengths of its partial buckets in 32 bits, the middles of
+//! all its buckets as three floats, and a row for each Gaussian. The rows go bucket by bucket, the full ones first.
 //!
 //! | part of a row | level 0 | levels 1 and 2 | here |
 //! |---|---|---|---|
@@ -33,7 +33,8 @@ use crate::{InterchangeError, ReadSettings};
 ///
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if it is not a complete `.ksplat`
-/// file of version 0.1, or has no Gaussian; [`InterchangeError::Limit`] if it takes more memory than the settings allow.
+/// file of version 0.1, or has no Gaussian; [`InterchangeError::Limit`] if it takes more memory than the settings
+/// allow.
 pub(crate) fn read_ksplat(path: &Path, settings: ReadSettings) -> Result<Gaussians, InterchangeError> {
     let (table, mut file) = Table::open(path, settings)?;
     let mut gaussians = Gaussians::zeros_of(&table.head.layout, table.head.num_gaussians);

@@ -52,7 +52,7 @@ pub struct Table {
     pub level: Level,
     /// Range of the harmonics of level 2.
     harmonics: [f32; 2],
-    /// Those with Gaussians, or with room for some, in the order of the file.
+    /// The sections that have bytes, in the order of the file.
     pub sections: Vec<Section>,
     pub head: Head,
 }

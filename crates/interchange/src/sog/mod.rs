@@ -1,9 +1,9 @@
-//! One SOG of `SuperSplat`, version 2: one timestep. `read` reads it, `write` writes it; `codebook` and `palette` choose
-//! the values that a file holds.
+//! One SOG of `SuperSplat`, version 2: one timestep. `read` reads it, `write` writes it; `codebook` and `palette`
+//! choose the values that a file holds.
 //!
-//! A `.sog` file is a ZIP archive of `meta.json` ([`Meta`]) and lossless WebP images. An unpacked SOG is a folder of the
-//! same files. Pixel `i` of an image, row by
-//! row, is Gaussian `i`; an image may have more pixels. `files` of `meta.json` names the images.
+//! A `.sog` file is a ZIP archive of `meta.json` ([`Meta`]) and lossless WebP images. An unpacked SOG is a folder of
+//! the same files. Pixel `i` of an image, row by row, is Gaussian `i`; an image may have more pixels. `files` of
+//! `meta.json` names the images.
 //!
 //! | part | image | red, green, blue | alpha | here |
 //! |---|---|---|---|---|

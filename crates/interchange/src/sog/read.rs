@@ -59,8 +59,8 @@ fn beside(folder: &Path, name: &str) -> Option<PathBuf> {
     Some(folder.join(name)).filter(|file| is_plain && file.is_file())
 }
 
-/// Whether a file is a ZIP archive, or a `meta.json` beside images, that [`read_gaussians`](crate::read_gaussians) takes
-/// for a SOG. False if it cannot be read.
+/// Whether [`read_gaussians`](crate::read_gaussians) takes a file for a SOG: a ZIP archive of one, or a `meta.json`
+/// beside images. False if it cannot be read.
 pub fn is_sog_file(path: &Path) -> bool {
     if is_table(path) {
         return table_in(parent_folder(path)).is_some();
