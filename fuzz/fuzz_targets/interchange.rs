@@ -10,15 +10,17 @@ use tcgs_interchange::{
     write_compressed_ply_to, write_glb_to, write_ply_to, write_sog_to, write_spz_to,
 };
 
-/// Readers take paths. One file a process.
+/// Readers take paths. One file of each name a process.
 fn path(ending: &str) -> PathBuf {
     std::env::temp_dir().join(format!("tcgs-fuzz-{}.{ending}", std::process::id()))
 }
 
 fuzz_target!(|bytes: &[u8]| {
     let given = path("given");
-    std::fs::write(&given, bytes).expect("a temporary file");
-    if let Ok(gaussians) = read_gaussians(&given, ReadSettings::default()) {
+    // Two kinds are known by their endings alone.
+    for given in [&given, &path("splat"), &path("ksplat")] {
+        std::fs::write(given, bytes).expect("a temporary file");
+        let Ok(gaussians) = read_gaussians(given, ReadSettings::default()) else { continue };
         assert!(gaussians.num_gaussians() > 0 && gaussians.means().as_flattened().iter().all(|x| x.is_finite()));
         let (mut ply, mut glb, mut compressed, mut sog) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         write_ply_to(&mut ply, &gaussians).expect("memory");

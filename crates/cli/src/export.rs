@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::anyhow;
 use serde_json::json;
 use tcgs_core::{SceneReader, read_file};
+use tcgs_interchange::parent_folder;
 use tcgs_pipeline::{Export, NewFolder, TimestepKind};
 use tcgs_serve::{NO_PAGE, PAGE, single_file};
 
@@ -17,6 +18,8 @@ use crate::teller::Teller;
 use crate::terminal::{note, say};
 use crate::view::check_scene;
 
+/// Name of the table of an unpacked SOG.
+const SOG_TABLE: &str = "meta.json";
 /// Largest scene in a page, bytes. Browsers hold no longer texts than half a gigabyte.
 pub const MAX_PAGE_SCENE: u64 = 1 << 28;
 
@@ -30,12 +33,12 @@ pub const MAX_PAGE_SCENE: u64 = 1 << 28;
 /// A PLY file has the format of 3D Gaussian splatting, which most viewers read. A .glb file is glTF with
 /// KHR_gaussian_splatting. Files of the endings .compressed.ply, .spz and .sog are smaller and round all numbers; a
 /// .sog file rounds colours and harmonics most. All of these hold one timestep; in a folder of many a file's name is
-/// its frame. An .spz file declares the axes of PLY files; version 4 of the format is written. A .4dgs file holds all
-/// timesteps, quantised as finely as its format offers. A .usda file is animated USD for Omniverse, Houdini and others
-/// (ParticleField3DGaussianSplat of OpenUSD 26.03), as text: usdcat makes it smaller. A .f32 file holds plain floats,
-/// bit for bit: for each frame all means, quats, log_scales, logit_opacities and colors, then further columns,
-/// little-endian. A run is exported in floats, without the Gaussians that its masks prune: these files cannot hold
-/// masks.
+/// its frame. NAME/meta.json is a .sog file unpacked into the new folder NAME. An .spz file declares the axes of PLY
+/// files; version 4 of the format is written. A .4dgs file holds all timesteps, quantised as finely as its format
+/// offers. A .usda file is animated USD for Omniverse, Houdini and others (ParticleField3DGaussianSplat of OpenUSD
+/// 26.03), as text: usdcat makes it smaller. A .f32 file holds plain floats, bit for bit: for each frame all means,
+/// quats, log_scales, logit_opacities and colors, then further columns, little-endian. A run is exported in floats,
+/// without the Gaussians that its masks prune: these files cannot hold masks.
 ///
 /// A .html file is the player with a .tcgs file in it. A browser opens it from a disk, without a server and without a
 /// network.
@@ -46,6 +49,7 @@ Example:
   tcgs export my_d3dgs_run --to params.npz
   tcgs export scene.tcgs --to glbs --files glb
   tcgs export scene.tcgs --to for_supersplat --files sog
+  tcgs export scene.tcgs --frames 7..8 --to frame_7/meta.json    unpacked SOG
   tcgs export scene.tcgs --to scene.4dgs
   tcgs export scene.tcgs --to scene.usda
   tcgs export scene.tcgs --to scene.html         a page to send to a friend
@@ -56,7 +60,7 @@ pub struct Arguments {
     #[command(flatten)]
     reading: SceneOptions,
     /// File or folder to write. The ending selects the format: .npz, .4dgs, .usda, .html or .f32 for all timesteps,
-    /// .ply, .compressed.ply, .spz, .glb or .sog for one, none for a folder of these
+    /// .ply, .compressed.ply, .spz, .glb, .sog or /meta.json for one, none for a folder of these
     #[arg(long, value_name = "FILE|DIR")]
     to: PathBuf,
     /// Which files a folder gets
@@ -104,6 +108,7 @@ enum Target {
     Usda,
     Floats,
     Folder(TimestepKind, NewFolder),
+    UnpackedSog(NewFolder),
 }
 
 /// Runs the command.
@@ -137,7 +142,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             }
             length(to)
         }
-        Target::Timestep(_) if frames.len() > 1 => {
+        Target::Timestep(_) | Target::UnpackedSog(_) if frames.len() > 1 => {
             let (count, start) = (frames.len(), frames.start);
             let expected = format!("--frames {start}..{} for one, or a folder", start + 1);
             return Err(wrong_input(format!("{}: a file for {count} timesteps, expected {expected}", to.display())));
@@ -179,6 +184,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             finish(folder, |_| false)?;
             bytes
         }
+        Target::UnpackedSog(folder) => {
+            let bytes = export.write_unpacked_sog(frames.start, folder.path())?;
+            finish(folder, |_| false)?;
+            bytes
+        }
     };
     say(&format!("{}: {}", to.display(), show_bytes(bytes)))?;
     if scene.layout().is_antialiased() && is_for_others {
@@ -216,21 +226,29 @@ fn target(arguments: &Arguments) -> anyhow::Result<Target> {
     if let Some(kind) = TimestepKind::of(to).filter(|_| !to.is_dir()) {
         return file(Target::Timestep(kind));
     }
+    let in_folder = |folder: &Path, is_ours: fn(&Path) -> bool| {
+        job.begin(&[], &[scene])?;
+        check_folder(folder, &[scene])?;
+        Ok::<_, anyhow::Error>(NewFolder::begin(folder, job.force, is_ours)?)
+    };
+    if to.ends_with(SOG_TABLE) && !to.is_dir() {
+        let is_ours =
+            |path: &Path| path.ends_with(SOG_TABLE) || path.extension().is_some_and(|ending| ending == "webp");
+        return Ok(Target::UnpackedSog(in_folder(parent_folder(to), is_ours)?));
+    }
     match to.extension().map(|extension| extension.to_string_lossy().to_lowercase()).as_deref() {
         Some("npz") => file(Target::ParamsNpz),
         Some("4dgs") => file(Target::Fourdgs),
         Some("usda") => file(Target::Usda),
         Some("f32") => file(Target::Floats),
         other if other.is_none() || to.is_dir() => {
-            job.begin(&[], &[scene])?;
-            check_folder(to, &[scene])?;
             let is_ours = |path: &Path| TimestepKind::ALL.iter().any(|kind| is_numbered(path, kind.ending()));
-            Ok(Target::Folder(arguments.files.into(), NewFolder::begin(to, job.force, is_ours)?))
+            Ok(Target::Folder(arguments.files.into(), in_folder(to, is_ours)?))
         }
         _ => {
             let problem = "not a kind of file that this version writes";
-            let expected = "NAME.npz, NAME.ply, NAME.compressed.ply, NAME.spz, NAME.glb, NAME.sog, NAME.4dgs, \
-                            NAME.usda, NAME.html, NAME.f32, or a folder's name without an ending";
+            let expected = "NAME.npz, NAME.ply, NAME.compressed.ply, NAME.spz, NAME.glb, NAME.sog, NAME/meta.json, \
+                            NAME.4dgs, NAME.usda, NAME.html, NAME.f32, or a folder's name without an ending";
             Err(wrong_input(format!("{}: {problem}, expected {expected}", to.display())))
         }
     }

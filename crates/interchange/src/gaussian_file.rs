@@ -1,4 +1,5 @@
-//! One file of Gaussians at one timestep, of any supported kind. Its content determines the kind, except of `.splat`.
+//! One file of Gaussians at one timestep, of any supported kind. Its content determines the kind, except those of
+//! `.splat`, `.ksplat` and `meta.json`, which the name tells.
 
 use std::io::Read;
 use std::path::Path;
@@ -7,7 +8,7 @@ use tcgs_core::Gaussians;
 
 use crate::notes::Replaced;
 use crate::stored::{Head, checked};
-use crate::{InterchangeError, ReadSettings, gltf, input, ply, sog, splat, spz};
+use crate::{InterchangeError, ReadSettings, gltf, input, ksplat, ply, sog, splat, spz};
 
 /// Kinds of files that hold one timestep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,13 +20,21 @@ pub(crate) enum FileKind {
     Sog,
     /// `.splat`.
     Splat,
+    /// `.ksplat`.
+    Ksplat,
 }
 
 impl FileKind {
-    /// The kind according to the first bytes; that of a `.splat` file, which begins with any bytes, by its ending.
+    /// The kind according to the first bytes; that of a `.splat`, a `.ksplat` or an unpacked SOG by its name.
     fn of(path: &Path) -> Result<Self, InterchangeError> {
-        if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("splat")) {
-            return Ok(Self::Splat);
+        let has_ending = |known| path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case(known));
+        for (ending, kind) in [("splat", Self::Splat), ("ksplat", Self::Ksplat)] {
+            if has_ending(ending) {
+                return Ok(kind);
+            }
+        }
+        if sog::is_table(path) {
+            return Ok(Self::Sog);
         }
         let mut start = Vec::new();
         let read = input::open(path)?.0.take(64).read_to_end(&mut start);
@@ -43,10 +52,16 @@ impl FileKind {
     }
 }
 
-/// Reads the Gaussians of one file in stored form. It may be a PLY file of 3D Gaussian splatting or a compressed one,
-/// an SPZ file, a glTF file with `KHR_gaussian_splatting`, a SOG file, or a `.splat` file. All come in the axes of PLY
-/// files: x right, y down, z forward. A file's own axes are those of the settings, else those that it declares, else
-/// those of its kind ([`ReadSettings::axes`]).
+/// Reads the Gaussians of one file in stored form. The file is one of these:
+///
+/// - a PLY file of 3D Gaussian splatting, or a compressed one
+/// - an SPZ file
+/// - a glTF file with `KHR_gaussian_splatting`
+/// - a SOG file, or the `meta.json` of an unpacked SOG
+/// - a `.splat` or a `.ksplat` file
+///
+/// All come in the axes of PLY files: x right, y down, z forward. A file's own axes are those of the settings, else
+/// those that it declares, else those of its kind ([`ReadSettings::axes`]).
 ///
 /// ```no_run
 /// use tcgs_interchange::{ReadSettings, read_gaussians};
@@ -70,6 +85,7 @@ pub(crate) fn read_and_count(path: &Path, settings: ReadSettings) -> Result<(Gau
         FileKind::Gltf => gltf::read_gltf(path, settings),
         FileKind::Sog => sog::read_sog(path, settings),
         FileKind::Splat => splat::read_splat(path, settings),
+        FileKind::Ksplat => ksplat::read_ksplat(path, settings),
     };
     checked(path, gaussians?)
 }
@@ -86,6 +102,7 @@ pub(crate) fn read_head(path: &Path, settings: ReadSettings) -> Result<(FileKind
         FileKind::Gltf => gltf::read_head(path, settings),
         FileKind::Sog => sog::read_head(path, settings),
         FileKind::Splat => splat::read_head(path, settings),
+        FileKind::Ksplat => ksplat::read_head(path, settings),
     };
     Ok((kind, head?))
 }

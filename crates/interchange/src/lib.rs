@@ -9,12 +9,14 @@
 //! | SPZ, versions 2 to 4 | [`read_gaussians`] | [`write_spz_to`], version 4 |
 //! | glTF with `KHR_gaussian_splatting`, `.glb` and `.gltf` | [`read_gaussians`] | [`write_glb_to`], `.glb` |
 //! | SOG, version 2, `.sog` | [`read_gaussians`] | [`write_sog_to`] |
+//! | unpacked SOG, `meta.json` beside images | [`read_gaussians`] | [`sog_files`] |
 //! | animated USD, `.usda`, a whole scene | – | [`write_usda_to`] |
 //! | `.4dgs`, a whole scene | [`FourdgsFile`] | [`fourdgs_bytes`] |
 //! | PLY of points | [`read_ply_points`] | – |
 //! | npz archives and npy arrays of any content | [`NpzReader`], [`read_npy`] | [`NpzWriter`] |
 //! | `.splat` of antimatter15's viewer | [`read_gaussians`] | – |
-//! | folders of SOG, `.ksplat`, other archives | recognised alone: [`UnreadKind`] | – |
+//! | `.ksplat` of `GaussianSplats3D`, version 0.1 | [`read_gaussians`] | – |
+//! | other archives | recognised alone: [`UnreadKind`] | – |
 //!
 //! What lives here: these formats, and atomic writing of files ([`write_whole`], [`Unfinished`]) for every crate that
 //! writes any. What does not: the format `.tcgs` (the codec), images and cameras (the capture).
@@ -25,6 +27,7 @@ mod fourdgs;
 mod gaussian_file;
 mod gltf;
 mod input;
+mod ksplat;
 mod notes;
 mod npy;
 mod npz;
@@ -59,7 +62,7 @@ pub use params_npz::{
 pub use ply::{read_ply, write_compressed_ply_to, write_ply_to};
 pub use ply_points::read_ply_points;
 pub use settings::{HigherHarmonics, ReadLimits, ReadSettings};
-pub use sog::{is_sog_file, write_sog_to};
+pub use sog::{is_sog_file, sog_files, write_sog_to};
 pub use space_order::space_order;
 pub use spz::write_spz_to;
 pub use timestep_files::TimestepFiles;

@@ -1,7 +1,7 @@
 //! Known kinds of files of Gaussians without a reader here. A refusal names the kind.
 
 use std::borrow::Cow;
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
@@ -9,16 +9,7 @@ use zip::ZipArchive;
 
 use crate::sog::is_sog;
 
-/// A readable file to use instead of the kinds of this table, for messages.
-const SPLAT_TRANSFORM: &str = "a PLY file, which splat-transform makes of it";
-
-/// Kinds of files, by the endings of their names.
-const ENDINGS: [(&str, &str); 1] = [("ksplat", "a .ksplat file of GaussianSplats3D")];
-/// A folder with the content of a `.sog` file.
-const SOG: UnreadKind =
-    UnreadKind { name: "an unpacked SOG of SuperSplat", expected: "a .sog file, which splat-transform makes of it" };
-
-/// A file, or a folder, that no reader of this crate takes.
+/// A file that no reader of this crate takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct UnreadKind {
     /// Its kind.
@@ -28,44 +19,20 @@ pub struct UnreadKind {
 }
 
 impl UnreadKind {
-    const fn of_splats(name: &'static str) -> Self {
-        Self { name, expected: SPLAT_TRANSFORM }
-    }
-
-    /// Recognises a file by the ending of its name, a ZIP archive by the names of its entries, and a folder by the
-    /// names of its files. None if the kind is unknown, or if a reader may read it.
+    /// Recognises a ZIP archive by the names of its entries. None if the kind is unknown, or if a reader may read it.
     ///
     /// ```
     /// use tcgs_interchange::UnreadKind;
     /// let folder = tempfile::tempdir()?;
-    /// let path = folder.path().join("garden.ksplat");
-    /// std::fs::write(&path, "")?;
-    /// assert_eq!(UnreadKind::of(&path).map(|kind| kind.name), Some("a .ksplat file of GaussianSplats3D"));
+    /// let path = folder.path().join("garden.zip");
+    /// // An archive without entries.
+    /// std::fs::write(&path, [b"PK\x05\x06".as_slice(), &[0; 18]].concat())?;
+    /// assert_eq!(UnreadKind::of(&path).map(|kind| kind.name), Some("a ZIP archive without arrays of NumPy"));
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
-    pub fn of(path: &Path) -> Option<Self> {
-        if path.is_dir() {
-            let entries = fs::read_dir(path).ok()?.filter_map(Result::ok);
-            let names: Vec<String> = entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
-            return if is_sog(&names) {
-                Some(SOG)
-            } else {
-                names.iter().find_map(|name| Self::of_ending(Path::new(name)))
-            };
-        }
-        Self::of_ending(path).or_else(|| Self::of_archive(path)).or_else(|| {
-            let is_table = path.file_name().is_some_and(|name| name == "meta.json");
-            path.parent().filter(|_| is_table).and_then(Self::of).filter(|kind| *kind == SOG)
-        })
-    }
-
-    fn of_ending(path: &Path) -> Option<Self> {
-        let ending = path.extension()?;
-        ENDINGS.iter().find(|(known, _)| ending.eq_ignore_ascii_case(known)).map(|(_, name)| Self::of_splats(name))
-    }
-
+    ///
     /// An archive with an array of `NumPy` may be a `params.npz`; a damaged archive has no known kind.
-    fn of_archive(path: &Path) -> Option<Self> {
+    pub fn of(path: &Path) -> Option<Self> {
         let archive = ZipArchive::new(BufReader::new(File::open(path).ok()?)).ok()?;
         let names: Vec<String> = archive.file_names().flatten().map(Cow::into_owned).collect();
         let ends = |ending: &str| names.iter().any(|name| name.ends_with(ending));
@@ -101,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn files_are_known_by_name_and_by_content() {
+    fn archives_are_known_by_their_entries() {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
         let name = |path: &Path| UnreadKind::of(path).map(|kind| kind.name);
@@ -115,29 +82,10 @@ mod tests {
             archive(&path(file), names);
             assert_eq!(name(&path(file)), expected, "{file}");
         }
-        for (file, expected) in [
-            ("a.splat", None),
-            ("b.KSPLAT", Some("a .ksplat file of GaussianSplats3D")),
-            ("c.sog", None),
-            ("d.ply", None),
-        ] {
-            fs::write(path(file), "PK\x03\x04").unwrap();
-            assert_eq!(name(&path(file)), expected, "{file}");
+        for file in ["a.splat", "b.ksplat", "c.sog", "d.ply"] {
+            std::fs::write(path(file), "PK\x03\x04").unwrap();
+            assert_eq!(name(&path(file)), None, "{file}");
         }
-    }
-
-    #[test]
-    fn folders_are_known_by_their_files() {
-        let folder = tempfile::tempdir().unwrap();
-        let table = folder.path().join("meta.json");
-        fs::write(&table, "{}").unwrap();
-        assert_eq!((UnreadKind::of(folder.path()), UnreadKind::of(&table)), (None, None));
-        fs::write(folder.path().join("means_u.webp"), "").unwrap();
-        for path in [folder.path(), &table] {
-            assert_eq!(UnreadKind::of(path), Some(SOG));
-        }
-        let splats = tempfile::tempdir().unwrap();
-        fs::write(splats.path().join("000.ksplat"), "").unwrap();
-        assert_eq!(UnreadKind::of(splats.path()), Some(UnreadKind::of_splats("a .ksplat file of GaussianSplats3D")));
+        assert_eq!(name(folder.path()), None);
     }
 }

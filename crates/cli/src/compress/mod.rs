@@ -32,9 +32,10 @@ use crate::terminal::{note, say};
 /// images depend on each parameter is measured with the capture's cameras, or with cameras around it.
 ///
 /// A folder has one file a timestep, in the natural order of their names: PLY of 3D Gaussian splatting, compressed PLY of
-/// SuperSplat, SPZ of versions 2 to 4, or glTF with KHR_gaussian_splatting, with spherical harmonics or without. Names that
-/// are numbers and count up, such as 000012.ply, are frames. Where the number or the order of Gaussians changes from file
-/// to file, those that are found again are followed, and the others come and go.
+/// SuperSplat, SPZ of versions 2 to 4, glTF with KHR_gaussian_splatting, SOG of version 2, .splat or .ksplat, with
+/// spherical harmonics or without. Names that are numbers and count up, such as 000012.ply, are frames. Where the
+/// number or the order of Gaussians changes from file to file, those that are found again are followed, and the others
+/// come and go.
 #[derive(clap::Args)]
 #[command(group = clap::ArgGroup::new("target").args(["target_bytes", "target_psnr"]))]
 #[command(group = clap::ArgGroup::new("measured").args(["target_bytes", "target_psnr", "tune"]).multiple(true))]

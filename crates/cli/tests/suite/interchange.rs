@@ -1,7 +1,7 @@
 //! Files of other programs (`testdata/interchange`): compressed, drawn, measured and written as glTF.
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use crate::support::*;
 use tcgs_core::{Gaussians, SceneReader};
@@ -81,7 +81,39 @@ fn a_scene_becomes_files_of_every_kind_and_is_read_again() {
         succeed(&["export", text(&source), "--to", text(&out), "--files", files, "--force"]);
     }
     let message = fail(2, &["export", text(&path("source")), "--to", text(&path("a.splat"))]);
-    assert!(message.contains("NAME.compressed.ply, NAME.spz, NAME.glb, NAME.sog"), "{message}");
+    assert!(message.contains("NAME.compressed.ply, NAME.spz, NAME.glb, NAME.sog, NAME/meta.json"), "{message}");
+}
+
+#[test]
+fn an_unpacked_sog_is_written_and_read() {
+    let folder = tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let (table, packed, original) = (path("unpacked/meta.json"), path("a.sog"), file("original.ply"));
+    let arguments = ["export", text(&original), "--to", text(&table)];
+    succeed(&arguments);
+    succeed(&["export", text(&original), "--to", text(&packed)]);
+    let read = |path: &Path| read_gaussians(path, ReadSettings::default()).unwrap();
+    assert_eq!(read(&table), read(&packed));
+    for scene in [path("unpacked"), table.clone()] {
+        let (out, result) = (path("out.tcgs"), path("out.json"));
+        let said = succeed(&["compress", text(&scene), "--bits", "6,6", "--out", text(&out), "--force"]);
+        assert!(said.contains("(SOG files): 260 Gaussians"), "{said}");
+        succeed(&["info", text(&scene), "--json", text(&result), "--force"]);
+        let files = fs::read_dir(path("unpacked")).unwrap().map(|entry| entry.unwrap().metadata().unwrap().len());
+        assert_eq!(json(&result)["bytes"], files.sum::<u64>());
+    }
+    // Only files of an unpacked SOG are replaced, and none that is read.
+    assert!(fail(2, &arguments).contains("exists already"));
+    succeed(&[&arguments[..], &["--force"]].concat());
+    let message = fail(2, &["export", text(&table), "--to", text(&table), "--force"]);
+    assert!(message.contains("which this command reads"), "{message}");
+    fs::write(path("unpacked/notes.txt"), "precious").unwrap();
+    let message = fail(2, &[&arguments[..], &["--force"]].concat());
+    assert!(message.contains("notes.txt: not written by this command"), "{message}");
+    // It holds one frame.
+    let births = file("fourdgs_births.4dgs");
+    let message = fail(2, &["export", text(&births), "--to", text(&path("many/meta.json"))]);
+    assert!(message.contains("meta.json: a file for 3 timesteps, expected --frames 0..1") && !path("many").exists());
 }
 
 #[test]
@@ -92,6 +124,7 @@ fn one_file_is_a_scene_of_one_timestep() {
         ("splat_transform_v4.spz", "SPZ files"),
         ("splat_transform.compressed.ply", "PLY files"),
         ("splat_transform_37.sog", "SOG files"),
+        ("gaussian_splats_3d_1.ksplat", ".ksplat files"),
     ] {
         let out = folder.path().join(name).with_extension("tcgs");
         let said = succeed(&["compress", text(&file(name)), "--bits", "6,6", "--out", text(&out)]);

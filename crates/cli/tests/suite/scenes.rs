@@ -147,17 +147,14 @@ fn kinds_that_are_not_read_are_named() {
     fs::create_dir(path("unpacked")).unwrap();
     fs::write(path("unpacked/meta.json"), "{}").unwrap();
     fs::write(path("unpacked/means_l.webp"), "RIFF").unwrap();
-    let sog =
-        "an unpacked SOG of SuperSplat, which is not read yet, expected a .sog file, which splat-transform makes of it";
     let table = "meta.json: expected value at line 1 column 1, expected the table of a SOG file";
     for (name, expected) in [
         ("garden.sog", table),
         ("garden.zip", table),
         ("empty.sog", "has no meta.json, expected a SOG file"),
-        ("unpacked", sog),
-        ("unpacked/meta.json", sog),
+        ("unpacked/meta.json", "is SOG of version 1, expected version 2"),
         ("cut.splat", "has 4 bytes, expected 32 for each of one or more Gaussians"),
-        ("new.ksplat", "a .ksplat file of GaussianSplats3D, which is not read yet, expected a PLY file"),
+        ("new.ksplat", "ends early, expected a whole .ksplat file"),
         ("model.pth", "a checkpoint of PyTorch, which is not read yet, expected the PLY file or params.npz"),
         ("notes.npz", "a ZIP archive without arrays of NumPy, which is not read yet, expected a params.npz"),
     ] {

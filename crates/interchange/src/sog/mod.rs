@@ -1,9 +1,9 @@
-//! One SOG file of `SuperSplat`, version 2: one timestep. `read` reads it, `write` writes it; `codebook` and `palette`
-//! choose the values that a file holds. What does not live here: the unpacked form, a folder of the same files, which
-//! is not read.
+//! One SOG of `SuperSplat`, version 2: one timestep. `read` reads it, `write` writes it; `codebook` and `palette`
+//! choose the values that a file holds.
 //!
-//! A `.sog` file is a ZIP archive of `meta.json` ([`Meta`]) and lossless WebP images. Pixel `i` of an image, row by
-//! row, is Gaussian `i`; an image may have more pixels. `files` of `meta.json` names the images.
+//! A `.sog` file is a ZIP archive of `meta.json` ([`Meta`]) and lossless WebP images. An unpacked SOG is a folder of
+//! the same files. Pixel `i` of an image, row by row, is Gaussian `i`; an image may have more pixels. `files` of
+//! `meta.json` names the images.
 //!
 //! | part | image | red, green, blue | alpha | here |
 //! |---|---|---|---|---|
@@ -25,11 +25,11 @@ mod read;
 mod write;
 
 pub use read::is_sog_file;
-pub(crate) use read::{is_sog, read_head, read_sog};
+pub(crate) use read::{images_of, is_sog, is_table, read_head, read_sog, table_in};
 use serde::{Deserialize, Serialize};
-pub use write::write_sog_to;
+pub use write::{sog_files, write_sog_to};
 
-/// Name of the table in the archive.
+/// Name of the table.
 const META: &str = "meta.json";
 /// The version that is read and written. The first had no number.
 const VERSION: u32 = 2;

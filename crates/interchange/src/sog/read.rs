@@ -1,9 +1,10 @@
-//! Reads a SOG file. Nothing is allocated by a number of the file before it was compared with the limits.
+//! Reads a SOG, packed or not. Nothing is allocated by a number of the file before it was compared with the limits.
 
 use std::borrow::Cow;
-use std::fs::File;
+use std::collections::BTreeSet;
+use std::fs::{self, File};
 use std::io::{BufReader, Cursor, Read};
-use std::path::Path;
+use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 use image_webp::WebPDecoder;
@@ -15,7 +16,7 @@ use super::{
 };
 use crate::axes::Axes;
 use crate::stored::{Head, color_from_sh0, logit_of_byte};
-use crate::{HigherHarmonics, InterchangeError, ReadSettings, input};
+use crate::{HigherHarmonics, InterchangeError, ReadSettings, input, parent_folder};
 
 /// Longest `meta.json`. One with three codebooks has 20 kB.
 const MAX_META_BYTES: u64 = 1 << 20;
@@ -33,14 +34,42 @@ fn is_meta(name: &str) -> bool {
     name.strip_suffix(META).is_some_and(|folder| folder.is_empty() || folder.ends_with('/'))
 }
 
-/// Whether a file is a ZIP archive that [`read_gaussians`](crate::read_gaussians) takes for a SOG file. False if it
-/// cannot be read.
+/// Whether a path is that of the table of an unpacked SOG, by its name.
+pub(crate) fn is_table(path: &Path) -> bool {
+    path.file_name().is_some_and(|name| name == META)
+}
+
+/// The table in a folder that is an unpacked SOG. None if the folder is none, or cannot be read.
+pub(crate) fn table_in(folder: &Path) -> Option<PathBuf> {
+    let entries = fs::read_dir(folder).ok()?.flatten();
+    let names: Vec<String> = entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+    is_sog(&names).then(|| folder.join(META))
+}
+
+/// The images that the table of an unpacked SOG names; empty if the table cannot be read.
+pub(crate) fn images_of(table: &Path) -> Vec<PathBuf> {
+    let meta = SogFile::open(table, ReadSettings::default()).ok();
+    let names = meta.iter().flat_map(|file| file.meta.images());
+    names.filter_map(|name| beside(parent_folder(table), name)).collect()
+}
+
+/// A file in a folder. None if the name is that of a file elsewhere, or of none.
+fn beside(folder: &Path, name: &str) -> Option<PathBuf> {
+    let is_plain = Path::new(name).components().eq([Component::Normal(name.as_ref())]);
+    Some(folder.join(name)).filter(|file| is_plain && file.is_file())
+}
+
+/// Whether [`read_gaussians`](crate::read_gaussians) takes a file for a SOG: a ZIP archive of one, or a `meta.json`
+/// beside images. False if it cannot be read.
 pub fn is_sog_file(path: &Path) -> bool {
+    if is_table(path) {
+        return table_in(parent_folder(path)).is_some();
+    }
     let archive = File::open(path).ok().and_then(|file| ZipArchive::new(BufReader::new(file)).ok());
     archive.is_some_and(|archive| is_sog(&archive.file_names().flatten().map(Cow::into_owned).collect::<Vec<_>>()))
 }
 
-/// Reads the Gaussians of one SOG file, in stored form. Numbers need not be finite.
+/// Reads the Gaussians of one SOG file, or of an unpacked SOG, in stored form. Numbers need not be finite.
 ///
 /// # Errors
 /// [`InterchangeError::Read`] if the file cannot be read; [`InterchangeError::File`] if the file is not a complete SOG
@@ -67,14 +96,21 @@ pub(crate) fn read_head(path: &Path, settings: ReadSettings) -> Result<Head, Int
     Ok(Head { num_gaussians: meta.count, layout })
 }
 
+/// Where a table and its images are.
+enum Source {
+    /// Entries of an archive. Their names begin with that of a folder, which may be empty.
+    Archive(ZipArchive<BufReader<File>>, String),
+    /// Files in a folder.
+    Folder(PathBuf),
+}
+
 /// A file whose table was read and checked.
 struct SogFile<'a> {
     path: &'a Path,
     settings: ReadSettings,
+    /// Of all files.
     file_bytes: u64,
-    archive: ZipArchive<BufReader<File>>,
-    /// Beginning of the names of all entries.
-    folder: String,
+    source: Source,
     meta: Meta,
     /// Layout of the Gaussians after reading.
     layout: Arc<Layout>,
@@ -119,26 +155,33 @@ fn rotation([a, b, c, kind]: [u8; 4]) -> Option<[f32; 4]> {
 impl<'a> SogFile<'a> {
     fn open(path: &'a Path, settings: ReadSettings) -> Result<Self, InterchangeError> {
         let invalid = |problem| InterchangeError::File { path: path.into(), problem };
-        let (file, file_bytes) = input::open(path)?;
-        let archive = ZipArchive::new(BufReader::new(file));
-        let mut archive = archive.map_err(|error| invalid(format!("{error}, expected a whole SOG file")))?;
-        let meta_name = archive.file_names().flatten().find(|name| is_meta(name));
-        let Some(meta_name) = meta_name.map(Cow::into_owned) else {
-            return Err(invalid(format!("has no {META}, expected a SOG file")));
+        let (file, mut file_bytes) = input::open(path)?;
+        let mut source = if is_table(path) {
+            Source::Folder(parent_folder(path).into())
+        } else {
+            let archive = ZipArchive::new(BufReader::new(file));
+            let archive = archive.map_err(|error| invalid(format!("{error}, expected a whole SOG file")))?;
+            let Some(name) = archive.file_names().flatten().find(|name| is_meta(name)).map(Cow::into_owned) else {
+                return Err(invalid(format!("has no {META}, expected a SOG file")));
+            };
+            Source::Archive(archive, name[..name.len() - META.len()].to_owned())
         };
-        let bytes = entry(&mut archive, path, file_bytes, &meta_name, |size| {
+        let bytes = source.read(path, file_bytes, META, |size| {
             let problem = format!("has {META} of {size} bytes, expected at most {MAX_META_BYTES}");
             if size > MAX_META_BYTES { Err(invalid(problem)) } else { Ok(()) }
         })?;
         let meta = parse(&bytes).map_err(invalid)?;
+        if let Source::Folder(folder) = &source {
+            let images = meta.images().into_iter().filter_map(|name| beside(folder, name)?.metadata().ok());
+            file_bytes = images.fold(file_bytes, |sum, image| sum.saturating_add(image.len()));
+        }
         let sh_degree = match (settings.higher_harmonics, &meta.sh_n) {
             (HigherHarmonics::Keep, Some(harmonics)) => harmonics.bands,
             _ => 0,
         };
         let is_antialiased = meta.model.as_deref() == Some(ANTIALIASED);
         let layout = Layout::with_harmonics(sh_degree).antialiased(is_antialiased);
-        let folder = meta_name[..meta_name.len() - META.len()].to_owned();
-        let opened = Self { path, settings, file_bytes, archive, folder, meta, layout };
+        let opened = Self { path, settings, file_bytes, source, meta, layout };
         // Each Gaussian has a pixel in each image.
         opened.check_bytes((opened.meta.count as u64).saturating_mul(BYTES_A_PIXEL))?;
         Ok(opened)
@@ -158,9 +201,8 @@ impl<'a> SogFile<'a> {
     fn image(&mut self, name: &str, num_pixels: usize) -> Result<Pixels, InterchangeError> {
         let invalid = |problem| InterchangeError::File { path: self.path.into(), problem };
         let (settings, path, file_bytes) = (self.settings, self.path, self.file_bytes);
-        let full = format!("{}{name}", self.folder);
         let check = |size| settings.limits.check_bytes(path, file_bytes, size);
-        let bytes = entry(&mut self.archive, path, file_bytes, &full, check)?;
+        let bytes = self.source.read(path, file_bytes, name, check)?;
         let damaged =
             |error: image_webp::DecodingError| invalid(format!("{name}: {error}, expected a lossless WebP image"));
         let length = bytes.len() as u64;
@@ -302,32 +344,59 @@ fn parse(bytes: &[u8]) -> Result<Meta, String> {
     Ok(meta)
 }
 
-/// The bytes of an entry.
-///
-/// - `check`: gets their number before any is allocated
-fn entry(
-    archive: &mut ZipArchive<BufReader<File>>,
-    path: &Path,
-    file_bytes: u64,
-    name: &str,
-    check: impl FnOnce(u64) -> Result<(), InterchangeError>,
-) -> Result<Vec<u8>, InterchangeError> {
-    let invalid = |problem| InterchangeError::File { path: path.into(), problem };
-    let damaged = |error: &dyn std::fmt::Display| invalid(format!("{name}: {error}, expected a whole SOG file"));
-    if archive.index_for_name(name).is_none() {
-        return Err(invalid(format!("has no {name}, expected the files that {META} names")));
+impl Meta {
+    /// The names of all images, each once.
+    fn images(&self) -> BTreeSet<&str> {
+        let [low, high] = &self.means.files;
+        let single = [&self.quats.files, &self.scales.files, &self.sh0.files].map(|[name]| name);
+        let harmonics = self.sh_n.iter().flat_map(|harmonics| &harmonics.files);
+        [low, high].into_iter().chain(single).chain(harmonics).map(String::as_str).collect()
     }
-    let mut entry = archive.by_name(name).map_err(|error| damaged(&error))?;
-    let size = entry.size();
-    if size > entry.compressed_size().min(file_bytes).saturating_mul(MAX_DEFLATE_RATIO) {
-        return Err(damaged(&"ends early"));
+}
+
+impl Source {
+    /// The bytes of a file.
+    ///
+    /// - `path`: of the SOG, for messages
+    /// - `check`: gets their number before any is allocated
+    fn read(
+        &mut self,
+        path: &Path,
+        file_bytes: u64,
+        name: &str,
+        check: impl FnOnce(u64) -> Result<(), InterchangeError>,
+    ) -> Result<Vec<u8>, InterchangeError> {
+        let invalid = |problem| InterchangeError::File { path: path.into(), problem };
+        let damaged = |error: &dyn std::fmt::Display| invalid(format!("{name}: {error}, expected a whole SOG file"));
+        let missing = || invalid(format!("has no {name}, expected the files that {META} names"));
+        let mut bytes = Vec::new();
+        let size = match self {
+            Self::Archive(archive, folder) => {
+                let full = format!("{folder}{name}");
+                if archive.index_for_name(&full).is_none() {
+                    return Err(missing());
+                }
+                let mut entry = archive.by_name(&full).map_err(|error| damaged(&error))?;
+                let size = entry.size();
+                if size > entry.compressed_size().min(file_bytes).saturating_mul(MAX_DEFLATE_RATIO) {
+                    return Err(damaged(&"ends early"));
+                }
+                check(size)?;
+                // One byte more than promised, so that a longer entry is noticed.
+                entry.by_ref().take(size.saturating_add(1)).read_to_end(&mut bytes).map_err(|error| damaged(&error))?;
+                size
+            }
+            Self::Folder(folder) => {
+                let image = beside(folder, name).ok_or_else(missing)?;
+                let (file, size) = input::open(&image)?;
+                check(size)?;
+                file.take(size).read_to_end(&mut bytes).map_err(|error| damaged(&error))?;
+                size
+            }
+        };
+        if bytes.len() as u64 != size {
+            return Err(damaged(&format!("has {} bytes instead of {size}", bytes.len())));
+        }
+        Ok(bytes)
     }
-    check(size)?;
-    let mut bytes = Vec::new();
-    // One byte more than promised, so that a longer entry is noticed.
-    entry.by_ref().take(size.saturating_add(1)).read_to_end(&mut bytes).map_err(|error| damaged(&error))?;
-    if bytes.len() as u64 != size {
-        return Err(damaged(&format!("has {} bytes, its archive says {size}", bytes.len())));
-    }
-    Ok(bytes)
 }

@@ -6,7 +6,7 @@ use zip::{ZipArchive, ZipWriter, write::SimpleFileOptions};
 
 use super::*;
 use crate::testing::{Bounds, assert_near, awkward, random};
-use crate::{Axes, HigherHarmonics, InterchangeError, ReadLimits, ReadSettings, read_gaussians};
+use crate::{Axes, HigherHarmonics, InterchangeError, ReadLimits, ReadSettings, TimestepFiles, read_gaussians};
 
 fn written(gaussians: &Gaussians) -> Vec<u8> {
     let mut bytes = Vec::new();
@@ -296,4 +296,68 @@ fn a_known_file_has_known_numbers() {
     assert_eq!(pixels("scales.webp"), [[2, 2, 2, 255], [1, 2, 0, 255], [0, 0, 0, 255]]);
     assert_eq!(pixels("sh0.webp"), [[0, 1, 0, 128]; 3]);
     assert_eq!(pixels("quats.webp"), [[128, 128, 128, 252], [128, 128, 128, 254], [146, 218, 218, 255]]);
+}
+
+/// The folder of an unpacked SOG of some Gaussians.
+fn unpacked(gaussians: &Gaussians) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, bytes) in sog_files(gaussians).unwrap() {
+        fs::write(folder.path().join(name), bytes).unwrap();
+    }
+    folder
+}
+
+#[test]
+fn an_unpacked_sog_is_the_content_of_a_file() {
+    let gaussians = random(300, 2);
+    let folder = unpacked(&gaussians);
+    let table = folder.path().join("meta.json");
+    assert_eq!(sog_files(&gaussians).unwrap(), entries(&written(&gaussians)));
+    assert_eq!(read_gaussians(&table, ReadSettings::default()).unwrap(), read(&written(&gaussians)).unwrap());
+    assert!(is_sog_file(&table) && !is_sog_file(folder.path()));
+    // The folder and its table are the same scene.
+    for path in [folder.path(), &table] {
+        let files = TimestepFiles::open(path, ReadSettings::default()).unwrap();
+        assert_eq!((files.files(), files.kind()), (&[table.clone()][..], "SOG files"));
+        let mut names = files.files_and_images();
+        names.sort();
+        let mut expected: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path()).collect();
+        expected.sort();
+        assert_eq!(names, expected);
+    }
+    // Other files of Gaussians come first.
+    fs::write(folder.path().join("000000.sog"), written(&random(5, 0))).unwrap();
+    let files = TimestepFiles::open(folder.path(), ReadSettings::default()).unwrap();
+    assert_eq!(files.files(), [folder.path().join("000000.sog")]);
+}
+
+#[test]
+fn what_is_wrong_with_an_unpacked_sog_is_named() {
+    let folder = unpacked(&random(10, 0));
+    let table = folder.path().join("meta.json");
+    let problem = |settings: ReadSettings| {
+        let message = read_gaussians(&table, settings).unwrap_err().to_string();
+        message.strip_prefix(&format!("{}: ", table.display())).unwrap().to_owned()
+    };
+    let text = fs::read_to_string(&table).unwrap();
+    // Only files beside the table are read.
+    fs::create_dir(folder.path().join("other")).unwrap();
+    fs::copy(folder.path().join("quats.webp"), folder.path().join("other/quats.webp")).unwrap();
+    let absolute = folder.path().join("quats.webp").display().to_string().replace('\\', "/");
+    for name in ["other/quats.webp", "./quats.webp", "other/../quats.webp", "other", "..", "", &absolute, "none.webp"] {
+        fs::write(&table, text.replace("quats.webp", name)).unwrap();
+        assert_eq!(problem(ReadSettings::default()), format!("has no {name}, expected the files that meta.json names"));
+    }
+    fs::write(&table, "{}").unwrap();
+    assert_eq!(problem(ReadSettings::default()), "is SOG of version 1, expected version 2");
+    fs::write(&table, " ".repeat((1 << 20) + 1)).unwrap();
+    assert_eq!(problem(ReadSettings::default()), "has meta.json of 1048577 bytes, expected at most 1048576");
+    fs::write(&table, &text).unwrap();
+    let tight = ReadLimits { base_bytes: 100, expansion: 0, ..ReadLimits::default() };
+    assert!(problem(ReadSettings { limits: tight, ..ReadSettings::default() }).starts_with("needs "));
+    let image = folder.path().join("means_u.webp");
+    let bytes = fs::read(&image).unwrap();
+    fs::write(&image, &bytes[..bytes.len() / 2]).unwrap();
+    let damaged = problem(ReadSettings::default());
+    assert!(damaged.starts_with("means_u.webp: ") && damaged.ends_with("expected a lossless WebP image"), "{damaged}");
 }

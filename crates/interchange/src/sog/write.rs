@@ -1,4 +1,4 @@
-//! Writes a SOG file.
+//! Writes a SOG, packed or not.
 
 use std::f64::consts::SQRT_2;
 use std::io::{self, Cursor, ErrorKind, Write};
@@ -43,6 +43,30 @@ use crate::stored::{harmonics_in_rows, sh0_from_color, smallest_three};
 /// The errors of `writer`; [`io::ErrorKind::InvalidInput`] if there are more Gaussians than a WebP image has pixels,
 /// 268 million.
 pub fn write_sog_to(mut writer: impl Write, gaussians: &Gaussians) -> io::Result<()> {
+    writer.write_all(&archive(&sog_files(gaussians)?)?)
+}
+
+/// The files of an unpacked SOG: the content of [`write_sog_to`]'s archive, for viewers that load a `meta.json` and the
+/// images beside it.
+///
+/// - `gaussians`: as for [`write_sog_to`]
+/// - returns: name and content of each file, `meta.json` first
+///
+/// ```
+/// use tcgs_core::Gaussians;
+/// use tcgs_interchange::{ReadSettings, read_gaussians, sog_files};
+/// let folder = tempfile::tempdir()?;
+/// for (name, bytes) in sog_files(&Gaussians::zeros(5))? {
+///     std::fs::write(folder.path().join(name), bytes)?;
+/// }
+/// let found = read_gaussians(&folder.path().join("meta.json"), ReadSettings::default())?;
+/// assert_eq!(found.num_gaussians(), 5);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// As [`write_sog_to`].
+pub fn sog_files(gaussians: &Gaussians) -> io::Result<Vec<(String, Vec<u8>)>> {
     let n = gaussians.num_gaussians();
     let width = n.isqrt().next_multiple_of(4).max(4);
     // Sides are multiples of four pixels, as those of other writers.
@@ -50,9 +74,9 @@ pub fn write_sog_to(mut writer: impl Write, gaussians: &Gaussians) -> io::Result
     if size[0].max(size[1]) > MAX_SIDE {
         return Err(io::Error::new(ErrorKind::InvalidInput, "a SOG file holds at most 268 million Gaussians"));
     }
-    let mut images = Vec::new();
+    let mut files = vec![(META.to_owned(), Vec::new())];
     let mut image = |name: &str, size: [usize; 2], pixels: Vec<[u8; 4]>| {
-        images.push((name.to_owned(), webp(size, pixels)?));
+        files.push((name.to_owned(), webp(size, pixels)?));
         io::Result::Ok(name.to_owned())
     };
 
@@ -101,18 +125,18 @@ pub fn write_sog_to(mut writer: impl Write, gaussians: &Gaussians) -> io::Result
         sh0,
         sh_n,
     };
-    writer.write_all(&archive(&serde_json::to_vec(&meta)?, &images)?)
+    files[0].1 = serde_json::to_vec(&meta)?;
+    Ok(files)
 }
 
 /// The archive of the table and the images. Images are compressed already.
-fn archive(meta: &[u8], images: &[(String, Vec<u8>)]) -> io::Result<Vec<u8>> {
+fn archive(files: &[(String, Vec<u8>)]) -> io::Result<Vec<u8>> {
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
     let options = SimpleFileOptions::default().last_modified_time(DateTime::default());
-    archive.start_file(META, options.compression_method(CompressionMethod::Deflated))?;
-    archive.write_all(meta)?;
-    for (name, image) in images {
-        archive.start_file(name, options.compression_method(CompressionMethod::Stored))?;
-        archive.write_all(image)?;
+    for (name, bytes) in files {
+        let method = if name == META { CompressionMethod::Deflated } else { CompressionMethod::Stored };
+        archive.start_file(name, options.compression_method(method))?;
+        archive.write_all(bytes)?;
     }
     Ok(archive.finish()?.into_inner())
 }

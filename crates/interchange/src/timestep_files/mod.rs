@@ -15,10 +15,10 @@ use tcgs_core::{DynamicGaussians, Gaussians, Layout, SceneReader, distance, natu
 
 use crate::gaussian_file::{FileKind, read_and_count, read_head};
 use crate::notes::ReplacedByTimestep;
-use crate::{Axes, InterchangeError, ReadNote, ReadSettings, spz};
+use crate::{Axes, InterchangeError, ReadNote, ReadSettings, sog, spz};
 
 /// Endings of the files that are timesteps. The content of such a file decides its format.
-const ENDINGS: [&str; 6] = ["ply", "spz", "glb", "gltf", "sog", "splat"];
+const ENDINGS: [&str; 7] = ["ply", "spz", "glb", "gltf", "sog", "splat", "ksplat"];
 
 /// Largest motion of the median Gaussian from one file to the next, as a share of the median Gaussian's distance from
 /// the scene's middle. Common motion of all Gaussians does not count.
@@ -27,8 +27,8 @@ const ENDINGS: [&str; 6] = ["ply", "spz", "glb", "gltf", "sog", "splat"];
 /// no codec profits from tracks with such jumps.
 const MAX_JUMP: f32 = 0.5;
 
-/// A sequence of files that is read a timestep at a time: PLY, also compressed, SPZ, glTF, SOG, or `.splat`. The number
-/// of Gaussians may differ between files.
+/// A sequence of files that is read a timestep at a time: PLY, also compressed, SPZ, glTF, SOG, `.splat`
+/// or `.ksplat`. The number of Gaussians may differ between files.
 ///
 /// ```
 /// use tcgs_core::{Gaussians, SceneReader};
@@ -64,7 +64,8 @@ pub struct TimestepFiles {
 
 impl TimestepFiles {
     /// Lists the files of a folder in natural order (numbers within names are compared as numbers) whose names end in
-    /// `.ply`, `.spz`, `.glb`, `.gltf`, `.sog` or `.splat`, and reads their headers. Hidden files are left out.
+    /// `.ply`, `.spz`, `.glb`, `.gltf`, `.sog`, `.splat` or `.ksplat`, and reads their headers. Hidden files are left
+    /// out. A folder without such files may be an unpacked SOG.
     ///
     /// - `path`: the folder, or a single file of any name, which becomes a sequence of one timestep
     ///
@@ -83,7 +84,7 @@ impl TimestepFiles {
             kinds.push(kind);
             let of_file = match (settings.axes, kind) {
                 (Some(axes), _) => axes,
-                (None, FileKind::Ply | FileKind::Sog | FileKind::Splat) => Axes::RDF,
+                (None, FileKind::Ply | FileKind::Sog | FileKind::Splat | FileKind::Ksplat) => Axes::RDF,
                 (None, FileKind::Gltf) => Axes::LUF,
                 (None, FileKind::Spz) if has_assumed_axes => spz::ASSUMED_AXES,
                 (None, FileKind::Spz) => {
@@ -139,6 +140,9 @@ impl TimestepFiles {
             }
         }
         if files.is_empty() {
+            files.extend(sog::table_in(folder));
+        }
+        if files.is_empty() {
             let problem = "holds no PLY, SPZ, glTF or SOG file, expected one a timestep".into();
             return Err(InterchangeError::File { path: folder.into(), problem });
         }
@@ -151,8 +155,14 @@ impl TimestepFiles {
         &self.files
     }
 
-    /// The kind of the files in two words: `PLY files`, `SPZ files`, `glTF files`, `SOG files`, `.splat files`, or
-    /// `Gaussian files` of several kinds.
+    /// [`Self::files`], and behind the table of an unpacked SOG its images.
+    pub fn files_and_images(&self) -> Vec<PathBuf> {
+        let images = |file: &PathBuf| if sog::is_table(file) { sog::images_of(file) } else { Vec::new() };
+        self.files.iter().flat_map(|file| std::iter::once(file.clone()).chain(images(file))).collect()
+    }
+
+    /// The kind of the files in two words: `PLY files`, `SPZ files`, `glTF files`, `SOG files`, `.splat files`,
+    /// `.ksplat files`, or `Gaussian files` of several kinds.
     pub fn kind(&self) -> &'static str {
         match self.kind {
             Some(FileKind::Ply) => "PLY files",
@@ -160,6 +170,7 @@ impl TimestepFiles {
             Some(FileKind::Gltf) => "glTF files",
             Some(FileKind::Sog) => "SOG files",
             Some(FileKind::Splat) => ".splat files",
+            Some(FileKind::Ksplat) => ".ksplat files",
             None => "Gaussian files",
         }
     }

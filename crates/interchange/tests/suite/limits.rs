@@ -105,7 +105,7 @@ fn gaussians_of_each_time_are_counted_as_they_are_read() {
 #[test]
 fn devices_and_pipes_are_refused() {
     let folder = tempfile::tempdir().unwrap();
-    for name in ["a.ply", "a.spz", "a.glb", "a.sog", "a.4dgs", "a.npz", "a.npy"] {
+    for name in ["a.ply", "a.spz", "a.glb", "a.sog", "a.ksplat", "meta.json", "a.4dgs", "a.npz", "a.npy"] {
         let path = folder.path().join(name);
         std::os::unix::fs::symlink("/dev/zero", &path).unwrap();
         let refusals = [

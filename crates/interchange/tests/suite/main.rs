@@ -10,7 +10,9 @@ mod other_programs;
 use std::path::{Path, PathBuf};
 
 /// Files of one timestep, of every kind.
-const ONE_TIMESTEP: [&str; 7] = [
+const ONE_TIMESTEP: [&str; 9] = [
+    "gaussian_splats_3d_0.ksplat",
+    "gaussian_splats_3d_2.ksplat",
     "original.ply",
     "splat_transform.compressed.ply",
     "splat_transform.glb",

@@ -161,6 +161,36 @@ fn sog_of_splat_transform() {
 }
 
 #[test]
+fn ksplat_of_gaussian_splats_3d() {
+    let mut original = read("original.ply").select(&(0..40).collect::<Vec<_>>());
+    // The writer clamps colours.
+    original.colors_mut().as_flattened_mut().iter_mut().for_each(|color| *color = color.clamp(0.0, 1.0));
+    let (low, high) = (-0.6, 0.6);
+    for (name, sh_degree) in
+        [("gaussian_splats_3d_0.ksplat", 1), ("gaussian_splats_3d_1.ksplat", 2), ("gaussian_splats_3d_2.ksplat", 2)]
+    {
+        let found = read(name);
+        assert_eq!((found.num_gaussians(), found.layout().sh_degree()), (40, sh_degree), "{name}");
+        let is_whole = sh_degree == 1;
+        // Half floats are cut off after 10 bits. Scales are below 0.4, coefficients below 0.6, opacities and colours
+        // are cut off to bytes.
+        let half_float = if is_whole { 0.0 } else { 2.0_f64.powi(-10) };
+        let may = HalfSteps {
+            // 32767 steps from the middle of a bucket to its side.
+            mean: [if is_whole { 0.0 } else { 1.5 / 32767.0 / 2.0 }; 3],
+            quat: half_float,
+            log_scale: [half_float; 3],
+            opacity: 1.0 / 255.0,
+            color: 1.0 / 255.0,
+            harmonics: [if name.ends_with("_2.ksplat") { (high - low) / 255.0 } else { half_float }; 2],
+        };
+        compare(&in_order_of(&found, &original), &original, &may);
+        let files = TimestepFiles::open(&file(name), ReadSettings::default()).unwrap();
+        assert_eq!((files.kind(), files.axes(), files.notes()), (".ksplat files", Axes::RDF, vec![]));
+    }
+}
+
+#[test]
 fn spz_of_splat_transform_and_of_its_library() {
     let original = read("original.ply");
     for name in ["splat_transform_v3.spz", "splat_transform_v4.spz"] {

@@ -2,7 +2,7 @@
 
 mod identities;
 
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::{self, BufWriter, Seek, Write};
 use std::ops::Range;
 use std::path::Path;
@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use tcgs_core::{Attribute, Column, Gaussians, Layout, SceneReader};
 use tcgs_interchange::{
-    Axes, ParamsExtras, ParamsOrigin, fourdgs_bytes, space_order, write_compressed_ply_to, write_glb_to,
+    Axes, ParamsExtras, ParamsOrigin, fourdgs_bytes, sog_files, space_order, write_compressed_ply_to, write_glb_to,
     write_params_npz_from, write_ply_to, write_sog_to, write_spz_to, write_usda_to,
 };
 use tcgs_train::StandIns;
@@ -324,6 +324,28 @@ impl<'a> Export<'a> {
         self.check_columns(kind.name())?;
         let gaussians = self.ordered_gaussians(kind, frame, &mut FileOrder::default())?;
         Ok(move |file: &File| kind.write(file, &gaussians))
+    }
+
+    /// Writes one frame as an unpacked SOG: `meta.json` and images. It has the content of the file that
+    /// [`Self::timestep`] writes as [`TimestepKind::Sog`].
+    ///
+    /// - `folder`: exists; its contents stay
+    /// - returns: bytes written
+    ///
+    /// # Errors
+    /// As [`Self::timestep`]; [`PipelineError::Unwritable`] if a file cannot be written.
+    pub fn write_unpacked_sog(&self, frame: usize, folder: &Path) -> Result<u64, PipelineError> {
+        let kind = TimestepKind::Sog;
+        self.check_columns(kind.name())?;
+        let gaussians = self.ordered_gaussians(kind, frame, &mut FileOrder::default())?;
+        let unwritable = |path: &Path, error| PipelineError::Unwritable { path: path.into(), error };
+        let mut length = 0;
+        for (name, bytes) in sog_files(&gaussians).map_err(|error| unwritable(folder, error))? {
+            let path = folder.join(name);
+            fs::write(&path, &bytes).map_err(|error| unwritable(&path, error))?;
+            length += bytes.len() as u64;
+        }
+        Ok(length)
     }
 
     /// The bytes of a `.4dgs` file of some frames ([`fourdgs_bytes`]). Reads one timestep at a time, but builds the

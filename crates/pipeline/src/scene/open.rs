@@ -96,7 +96,7 @@ pub(super) fn expected() -> &'static str {
     &EXPECTED
 }
 
-/// Refuses a file or folder of a kind that is known but not read.
+/// Refuses a file of a kind that is known but not read.
 pub(super) fn refuse_unread(path: &Path) -> Result<(), PipelineError> {
     UnreadKind::of(path).map_or(Ok(()), |kind| {
         let found = format!("{}, which is not read yet", kind.name);
@@ -104,16 +104,15 @@ pub(super) fn refuse_unread(path: &Path) -> Result<(), PipelineError> {
     })
 }
 
-/// The ending of a file's name; empty if it has none.
-pub(super) fn ending(path: &Path) -> &str {
-    path.extension().and_then(|ending| ending.to_str()).unwrap_or_default()
+/// Whether a file's name has one of some endings, in letters of either case.
+pub(super) fn has_ending(path: &Path, endings: &[&str]) -> bool {
+    path.extension().is_some_and(|found| endings.iter().any(|ending| found.eq_ignore_ascii_case(ending)))
 }
 
 fn kind_of_folder(path: &Path) -> Result<SceneKind, PipelineError> {
     if let Some(kind) = KINDS.into_iter().find(|kind| (kind.is_folder)(path)) {
         return Ok(kind);
     }
-    refuse_unread(path)?;
     let found = "a folder without config.toml and without PLY, SPZ, glTF or SOG files";
     Err(PipelineError::input(path.display(), found, expected()))
 }
@@ -123,11 +122,13 @@ fn kind_of_file(path: &Path) -> Result<SceneKind, PipelineError> {
     let mut start = Vec::new();
     let read = open_file(path).and_then(|file| file.take(4).read_to_end(&mut start));
     read.map_err(|error| PipelineError::unreadable(path, error, expected()))?;
-    let by_ending = KINDS.into_iter().find(|kind| kind.endings.contains(&ending(path)));
-    let by_start = || match &start[..] {
-        // A ZIP archive, as a params.npz is.
-        b"PK\x03\x04" if is_sog_file(path) => Some(kinds::timestep_files::KIND),
-        _ => KINDS.into_iter().find(|kind| kind.starts.iter().any(|known| start.starts_with(known))),
+    let by_ending = KINDS.into_iter().find(|kind| has_ending(path, kind.endings));
+    let by_start = || {
+        // A ZIP archive, as a params.npz is, or the table of an unpacked SOG.
+        if (start == b"PK\x03\x04" || has_ending(path, &["json"])) && is_sog_file(path) {
+            return Some(kinds::timestep_files::KIND);
+        }
+        KINDS.into_iter().find(|kind| kind.starts.iter().any(|known| start.starts_with(known)))
     };
     if let Some(kind) = by_ending.or_else(by_start) {
         return Ok(kind);

@@ -28,7 +28,7 @@ def open(
     segment_length: int | None = None,
 ) -> Scene:
     """Opens a scene: a .tcgs file, a run folder, a params.npz of Dynamic 3D Gaussians, a .4dgs file, a file of Gaussians
-    (PLY, SPZ, glTF), or a folder with a file of Gaussians for each frame.
+    (PLY, SPZ, glTF, SOG, .splat, .ksplat), or a folder with a file of Gaussians for each frame.
 
     - path: str or os.PathLike; or the address of a file (http, https), which is downloaded whole and kept as long as the
       Scene is; or run folders that are chapters of one scene (`tcgs.train`, `start_from`), in any order

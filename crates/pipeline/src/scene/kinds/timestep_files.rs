@@ -9,12 +9,12 @@ use tcgs_interchange::{Axes, ReadNote, TimestepFiles};
 
 use super::found::trained_file;
 use crate::PipelineError;
-use crate::scene::open::{SceneKind, ending, refuse_unread};
+use crate::scene::open::{SceneKind, has_ending, refuse_unread};
 use crate::scene::{OpenScene, OpenSettings, SceneContent};
 
 pub(crate) const KIND: SceneKind = SceneKind {
     mark: "PLY, SPZ, glTF or SOG files",
-    endings: &["ply", "spz", "glb", "gltf", "sog", "splat"],
+    endings: &["ply", "spz", "glb", "gltf", "sog", "splat", "ksplat"],
     starts: &[b"ply", b"NGSP", b"\x1F\x8B", b"glTF"],
     is_folder: |path| trained_file(path).is_some() || TimestepFiles::is_folder(path),
     open,
@@ -22,7 +22,7 @@ pub(crate) const KIND: SceneKind = SceneKind {
 
 fn open(path: &Path, settings: OpenSettings) -> Result<OpenScene, PipelineError> {
     let is_folder = path.is_dir();
-    if !is_folder && !KIND.endings.contains(&ending(path)) {
+    if !is_folder && !has_ending(path, KIND.endings) {
         // The first bytes of a file that is not read are arbitrary.
         refuse_unread(path)?;
     }
@@ -57,7 +57,7 @@ impl SceneContent for TimestepFiles {
     }
 
     fn files(&self, _: &Path) -> Vec<PathBuf> {
-        TimestepFiles::files(self).to_vec()
+        self.files_and_images()
     }
 
     fn has_loose_timesteps(&self) -> bool {
