@@ -28,10 +28,12 @@ pub fn prepare(videos: &Path) -> String {
 /// Prints the command that trains a capture.
 ///
 /// - `points`: a file of points, instead of the capture's own
-pub fn train(capture: &Path, points: Option<&Path>) -> anyhow::Result<()> {
+/// - `hold_out`: the cameras that these points leave out
+pub fn train(capture: &Path, points: Option<&Path>, hold_out: &[String]) -> anyhow::Result<()> {
     let run = beside(capture, "run");
     let points = points.map_or(String::new(), |points| format!(" --points {}", quoted(points)));
-    suggest(&format!("tcgs train {}{points} --out {}", quoted(capture), quoted(&run)))
+    let held = if hold_out.is_empty() { String::new() } else { format!(" --hold-out {}", word(&hold_out.join(","))) };
+    suggest(&format!("tcgs train {}{points}{held} --out {}", quoted(capture), quoted(&run)))
 }
 
 /// Prints the commands that compress a run and measure the file.

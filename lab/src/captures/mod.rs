@@ -1,6 +1,6 @@
 //! The experiment `captures`: settings compared on many captures, judged by training cameras that were left out.
 //!
-//! `captures.toml` lists the captures. A *variant* is a set of options of `tcgs train` and `tcgs compress`. Each pair
+//! `captures.toml` lists the captures; `few.toml` those of few cameras. A *variant* is a set of options of `tcgs train` and `tcgs compress`. Each pair
 //! of a capture and a variant is trained, compressed and measured once: a stopped command goes on where it was.
 
 mod measure;
@@ -13,7 +13,7 @@ use std::path::PathBuf;
 use anyhow::Context;
 use serde_json::Value;
 
-use self::plan::{CaptureEntry, Variant};
+use self::plan::{CaptureEntry, List, Variant};
 use self::steps::Place;
 use crate::error::{Stopped, wrong_input};
 use crate::program::Program;
@@ -28,6 +28,7 @@ use crate::program::Program;
 Example:
   cargo run --release -p tcgs-lab -- captures --data captures --out out --short \\
     --variant 'default' --variant 'paper masks: --set weights.mask=0.01 --set weights.mask_consistency=0.01'
+  cargo run --release -p tcgs-lab -- captures --data captures --out out --list few --test
   cargo run --release -p tcgs-lab -- captures --data captures --out out --only toss \\
     --variant 'refined: / --quality -1 --refine 1500'")]
 pub struct Arguments {
@@ -40,6 +41,9 @@ pub struct Arguments {
     /// NAME: OPTIONS OF TRAIN / OPTIONS OF COMPRESS; may be repeated [default: default]
     #[arg(long, value_name = "VARIANT", default_value = "default")]
     variant: Vec<Variant>,
+    /// The captures to measure
+    #[arg(long, value_name = "LIST", default_value = "captures")]
+    list: List,
     /// Only the captures of the short form
     #[arg(long)]
     short: bool,
@@ -63,9 +67,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let is_named = arguments.only.iter().any(|name| entry.name.starts_with(name.as_str()));
         (arguments.only.is_empty() || is_named) && (entry.short || !arguments.short)
     };
-    let entries: Vec<CaptureEntry> = plan::captures()?.into_iter().filter(chosen).collect();
+    let entries: Vec<CaptureEntry> = arguments.list.entries()?.into_iter().filter(chosen).collect();
     if entries.is_empty() {
-        return Err(wrong_input("no capture has such a name, expected one of lab/captures.toml"));
+        return Err(wrong_input("no capture has such a name, expected one of the list"));
     }
     let mut rows = Vec::new();
     for entry in &entries {

@@ -29,6 +29,11 @@ pub struct CaptureEntry {
     pub iterations: String,
     /// Stride of the training cameras that are trained with.
     pub r#use: Option<usize>,
+    /// Places of these in the sorted names of all cameras, test cameras included; instead of `use`.
+    pub views: Option<Vec<usize>>,
+    /// Whether `tcgs prepare` makes the initial points of the images of these cameras.
+    #[serde(default)]
+    pub points_from_images: bool,
     /// Names of the cameras that judge.
     pub hold_out: Vec<String>,
     /// Whether the short form has it.
@@ -40,13 +45,28 @@ fn one() -> usize {
     1
 }
 
-/// All captures, in the order of `captures.toml`.
-pub fn captures() -> anyhow::Result<Vec<CaptureEntry>> {
-    #[derive(Deserialize)]
-    struct File {
-        captures: Vec<CaptureEntry>,
+/// A list of captures.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub enum List {
+    /// captures.toml: on which settings are chosen
+    Captures,
+    /// few.toml: few cameras
+    Few,
+}
+
+impl List {
+    /// Its captures, in the order of the file.
+    pub fn entries(self) -> anyhow::Result<Vec<CaptureEntry>> {
+        #[derive(Deserialize)]
+        struct File {
+            captures: Vec<CaptureEntry>,
+        }
+        let text = match self {
+            Self::Captures => include_str!("../../captures.toml"),
+            Self::Few => include_str!("../../few.toml"),
+        };
+        Ok(toml::from_str::<File>(text)?.captures)
     }
-    Ok(toml::from_str::<File>(include_str!("../../captures.toml"))?.captures)
 }
 
 /// Options that are compared.
@@ -86,9 +106,12 @@ mod tests {
 
     #[test]
     fn captures_have_names_of_their_own() {
-        let captures = captures().unwrap();
-        let names: std::collections::BTreeSet<&str> = captures.iter().map(|entry| entry.name.as_str()).collect();
-        assert_eq!(names.len(), captures.len());
-        assert!(captures.iter().all(|entry| entry.folder.is_some() != entry.demo_seed.is_some()));
+        for list in [List::Captures, List::Few] {
+            let captures = list.entries().unwrap();
+            let names: std::collections::BTreeSet<&str> = captures.iter().map(|entry| entry.name.as_str()).collect();
+            assert_eq!(names.len(), captures.len());
+            assert!(captures.iter().all(|entry| entry.folder.is_some() != entry.demo_seed.is_some()));
+            assert!(captures.iter().all(|entry| entry.views.is_none() || entry.r#use.is_none()));
+        }
     }
 }

@@ -53,6 +53,13 @@ impl Place {
         if !hold_out.is_empty() {
             train.extend(words(&["--hold-out", &hold_out.join(",")]));
         }
+        if entry.points_from_images {
+            let points = folder.join("points.npz");
+            let prepare =
+                ["prepare", text(&capture)?, "--points-only", text(&points)?, "--hold-out", &hold_out.join(",")];
+            self.run(&folder, "prepare", &words(&[&prepare[..], &["--force"]].concat()))?;
+            train.extend(words(&["--points", text(&points)?]));
+        }
         train.extend_from_slice(&variant.train);
         let train_secs = self.run(&folder, "train", &train)?;
         let mut compress = words(&["compress", text(&run)?, "--out", text(&scene)?, "--force"]);
@@ -95,11 +102,20 @@ impl Place {
     /// The cameras that are not trained with, and those that judge.
     fn cameras(&self, entry: &CaptureEntry, capture: &Path) -> anyhow::Result<(Vec<String>, Vec<String>)> {
         let judges = if self.judged_by_test { vec![] } else { entry.hold_out.clone() };
-        let Some(stride) = entry.r#use else { return Ok((judges.clone(), judges)) };
-        let all = Capture::open_unseen(capture)?.camera_names(Split::Train, 0)?;
-        let is_used = |(i, name): &(usize, &String)| i % stride == 0 && !judges.contains(name);
-        let used: Vec<String> = all.iter().enumerate().filter(is_used).map(|(_, name)| name.clone()).collect();
-        Ok((all.into_iter().filter(|name| !used.contains(name)).collect(), judges))
+        let capture = Capture::open_unseen(capture)?;
+        let all = capture.camera_names(Split::Train, 0)?;
+        let used: Vec<String> = match (&entry.views, entry.r#use) {
+            (Some(views), _) => {
+                let mut sorted = [all.clone(), capture.camera_names(Split::Test, 0)?].concat();
+                sorted.sort();
+                let named = |&view: &usize| sorted.get(view).cloned();
+                views.iter().map(named).collect::<Option<_>>().context("views: the capture has fewer cameras")?
+            }
+            (None, Some(stride)) => all.iter().step_by(stride).cloned().collect(),
+            (None, None) => return Ok((judges.clone(), judges)),
+        };
+        let is_left_out = |name: &String| !used.contains(name) || judges.contains(name);
+        Ok((all.into_iter().filter(is_left_out).collect(), judges))
     }
 
     /// The capture's folder, made if it has to be.

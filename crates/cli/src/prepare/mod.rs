@@ -119,9 +119,9 @@ pub struct Arguments {
     /// Image folders only: frames per second [default: 30]
     #[arg(long, value_name = "RATE", value_parser = options::rate, conflicts_with = "check")]
     fps: Option<f64>,
-    /// Videos only: a camera to hold out from training for evaluation; may be given several times [default: every
-    /// eighth, of fewer than eight none]
-    #[arg(long, value_name = "CAMERA", conflicts_with = "check")]
+    /// Cameras to hold out from training for evaluation: of videos [default: every eighth, of fewer than eight none].
+    /// With --points-only: cameras of a capture to leave out of its points, as tcgs train --hold-out leaves them out
+    #[arg(long, value_name = "CAMERA,...", value_delimiter = ',', conflicts_with = "check")]
     hold_out: Vec<String>,
     /// Make masks of what moves if the capture has none; auto: if the cameras stand still, there are eight frames or
     /// more, and the layout has a place for masks
@@ -231,7 +231,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     };
     record["check"] = check::after_preparing(out, &capture, &diagnosis)?;
     arguments.job.write_json(&record)?;
-    next::train(out, None)
+    next::train(out, None, &[])
 }
 
 /// Writes points of a capture, and nothing else.
@@ -242,7 +242,10 @@ fn points_only(arguments: &Arguments, words: &mut Words) -> anyhow::Result<()> {
         return Err(wrong_input(format!("{}: {problem}", source.display())));
     };
     check_points_file(file, force)?;
-    let capture = open_source(source)?;
+    let mut capture = open_source(source)?;
+    if !arguments.hold_out.is_empty() {
+        capture = capture.with_test_cameras(&arguments.hold_out)?;
+    }
     if arguments.dry_run {
         return words.of(&PrepareStep::Planned(Work::MakingPoints)).iter().try_for_each(|line| say(line));
     }
@@ -254,7 +257,7 @@ fn points_only(arguments: &Arguments, words: &mut Words) -> anyhow::Result<()> {
     record["out"] = file.display().to_string().into();
     write_file_with(file, force, |file| write_prepared(BufWriter::new(file), &prepared))?;
     arguments.job.write_json(&record)?;
-    next::train(source, Some(file))
+    next::train(source, Some(file), &arguments.hold_out)
 }
 
 /// Makes a call whose steps are printed.

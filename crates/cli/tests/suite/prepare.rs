@@ -77,6 +77,14 @@ fn points_may_be_written_alone() {
     assert!(said.contains("the points that the source has are not used"), "{said}");
     std::fs::rename(&file, points(&source)).unwrap();
     assert!(Capture::open(&source).unwrap().point_cloud().unwrap().points.len() > 1500);
+    // Cameras that are left out of the points are left out of the training too.
+    let arguments = ["prepare", text(&source), "--points-only", text(&file), "--hold-out", "2,5", "--points", "1000"];
+    let said = succeed(&arguments);
+    assert!(said.contains("--hold-out 2,5 --out"), "{said}");
+    assert!(fail(2, &[&arguments[..], &["--force", "--hold-out", "99"]].concat()).contains("has no camera 99"));
+    let out = folder.path().join("capture");
+    let message = fail(2, &["prepare", text(&source), "--out", text(&out), "--hold-out", "2"]);
+    assert!(message.contains("hold_out is given for a capture, expected a folder of videos"), "{message}");
 }
 
 #[test]

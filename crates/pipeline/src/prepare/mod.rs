@@ -140,7 +140,7 @@ impl FootageOptions {
     /// # Errors
     /// [`PipelineError`] if the folder cannot be listed.
     pub fn is_footage(&self, source: &Path) -> Result<bool, PipelineError> {
-        let asked = self.calibration.is_some() || self.offsets.is_some() || !self.hold_out.is_empty();
+        let asked = self.calibration.is_some() || self.offsets.is_some();
         let asked = asked || self.from_secs.is_some() || self.to_secs.is_some() || self.every.is_some();
         let asked = asked || self.images_fps.is_some() || self.scale.is_some();
         Ok(asked || RawFootage::is_in(source)?)
@@ -261,6 +261,10 @@ fn of_capture(
     options: &PrepareOptions,
     observer: &mut dyn Observer,
 ) -> Result<Option<Value>, PipelineError> {
+    if !options.footage.hold_out.is_empty() {
+        let expected = "a folder of videos: the test cameras of a capture stand in its files";
+        return Err(PipelineError::input("hold_out", "is given for a capture", expected));
+    }
     let folder = begin_capture(source, out, options.replace)?;
     let mut capture = open_source(source)?;
     if options.dry_run {
