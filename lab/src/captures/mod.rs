@@ -1,7 +1,8 @@
 //! The experiment `captures`: settings compared on many captures, judged by training cameras that were left out.
 //!
-//! `captures.toml` lists the captures; `few.toml` those of few cameras. A *variant* is a set of options of `tcgs train` and `tcgs compress`. Each pair
-//! of a capture and a variant is trained, compressed and measured once: a stopped command goes on where it was.
+//! `captures.toml` lists the captures, and `few.toml` those of few cameras. A *variant* is a set of options of `tcgs
+//! train` and `tcgs compress`. Each pair of a capture and a variant is trained, compressed and measured once: a stopped
+//! command goes on where it was.
 
 mod measure;
 mod plan;
