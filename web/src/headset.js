@@ -1,8 +1,9 @@
-// Shows the player's scene in a headset, by WebXR. The pictures are of an engine of its own with WebGL2, whatever the page
-// draws with: its canvas fits the headset's graphics card, and the page's picture stays as it is.
+// Shows the player's scene in a headset, by WebXR. An engine of its own with WebGL2 draws, whatever the page draws with. Its
+// canvas fits the headset's graphics card, and the page's picture stays as it is.
 //
-// Rooms have y up and -z ahead, in metres. A scene stands in the room as `{scale, turn, place}`: the point p of the scene is
-// at `scale * turn * p + place`. `scale` is in metres for a scene unit, `turn` a rotation, by rows. Floors stay level.
+// Rooms have y up and -z ahead, in metres. A scene stands in the room as `{scale, turn, place}`: the point p of the scene
+// is at `scale * turn * p + place`. `scale` is the metres of a scene unit. `turn` has the rows of a rotation, which leaves
+// the scene's up direction up.
 
 import { startWebgl2 } from "./engine.js";
 import { addressOf } from "./player.js";
@@ -37,8 +38,8 @@ function poseOf({ cameraFromWorld: m }) {
 }
 
 /**
- * Where a scene stands when VR is entered. At its size, the viewer is at the place of the start view, and the ground is the
- * floor. A scene of unknown size has its middle a few steps ahead.
+ * Where a scene stands when VR is entered. In a scene of known size, the viewer is at the place of the start view, and
+ * the ground is the floor. A scene of unknown size has its middle a few steps ahead.
  *
  * @param {{camera: object, pivot: number[], up: number[], ground: number | null}} standing as the engine says
  * @param {number | null} metresPerUnit null: unknown
@@ -91,8 +92,8 @@ export function cameraOfAll(eyes) {
   const middle = sum(({ center }) => center).map((x) => x / eyes.length);
   const back = 2 * Math.max(...poses.map(({ center }) => length(added(center, -1, middle))));
   const position = added(middle, -back, forward);
-  // What an eye sees lies between the rays through the corners of its picture. Along each, the slope lies between that of
-  // the eye and that of the ray.
+  // An eye's picture lies between the rays through its corners. Points of a ray have slopes between that of the eye and
+  // that of the ray's direction.
   const directions = poses.flatMap(({ axes: own, center }, i) => {
     const { width, height, fx, fy, cx, cy } = eyes[i];
     const corners = [[0, 0], [width, 0], [0, height], [width, height]].map(([x, y]) => {
@@ -134,7 +135,8 @@ export function carried({ scale, turn, place }, before, now, scales) {
   }
   const [c, s] = [Math.cos(angle), Math.sin(angle)];
   const turned = ([x, y, z]) => [c * x + s * z, y, c * z - s * x];
-  const middle = (hands) => [0, 1, 2].map((i) => hands.reduce((sum, { position }) => sum + position[i], 0) / hands.length);
+  const mean = (values) => values.reduce((a, b) => a + b) / values.length;
+  const middle = (hands) => [0, 1, 2].map((i) => mean(hands.map(({ position }) => position[i])));
   const columns = [0, 1, 2].map((j) => turned(turn.map((row) => row[j])));
   return {
     scale: factor * scale,
@@ -185,7 +187,8 @@ class Hands {
     for (const [source, held] of this.#held) {
       const found = frame.getPose(source.gripSpace ?? source.targetRaySpace, space)?.transform;
       const vector = ({ x, y, z }) => [x, y, z];
-      const pose = found && { position: vector(found.position), orientation: [...vector(found.orientation), found.orientation.w] };
+      const orientation = found && [...vector(found.orientation), found.orientation.w];
+      const pose = found && { position: vector(found.position), orientation };
       if (pose && held.pose) {
         held.moved += length(added(pose.position, -1, held.pose.position));
         before.push(held.pose);

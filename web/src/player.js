@@ -223,8 +223,8 @@ export class Player extends EventTarget {
   }
 
   /**
-   * Hands the clock to a viewer that shows the same scene elsewhere. The page draws nothing until `takeBack`, and `frame`
-   * tells of the pictures given to `showElsewhere`.
+   * Hands the clock to a viewer that shows the same scene elsewhere. Until `takeBack` the page draws nothing, and the
+   * event `frame` tells of each call of `showElsewhere`.
    */
   handOver(viewer) {
     this.#setClock(viewer);

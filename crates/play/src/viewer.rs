@@ -180,8 +180,8 @@ impl<F: Feed, R: Renderer<Moment = F::Moment>> Viewer<F, R> {
 
     /// Draws several pictures of the timestep that [`Self::draw`] would draw, such as those of both eyes.
     ///
-    /// - `sorter`: camera of the order and of colours that depend on the direction of view; it must see what any picture
-    ///   shows
+    /// - `sorter`: camera of the order, and of colours that depend on the direction of view. It must see what any
+    ///   picture shows
     /// - `views`: camera and target of each picture
     /// - returns: `None` as long as there is no picture; the targets are unchanged then
     ///

@@ -64,7 +64,7 @@ pub(super) fn reach(row: &Row) -> f32 {
     if (least..half(2.0)).contains(&opacity) && most.is_finite() { most } else { -1.0 }
 }
 
-/// Height of the ground: the scene is nowhere much lower.
+/// Height below which few Gaussians lie.
 ///
 /// - `rows`: as [`Arranger::rows`](crate::Arranger::rows) gives them
 /// - `up`: unit direction in the world
