@@ -27,7 +27,7 @@ for engine in engine engine-webgl2; do
     first=0
     for file in "$made"/*.{html,css,svg,js} "$made/$engine"/*; do
         case $(basename "$file") in
-        example.html | element.js | tcgs-player.js | decoder.js) continue ;;
+        example.html | element.js | tcgs-player.js | decoder.js | headset.js) continue ;;
         worker.js) [[ $engine == engine-webgl2 ]] || continue ;;
         esac
         first=$((first + $(gzip -9c "$file" | wc -c)))

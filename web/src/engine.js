@@ -62,14 +62,24 @@ async function findAdapter() {
   }
 }
 
-/** @param {string | null} reason why WebGPU does not draw */
-async function startWebgl2(canvas, reason) {
+/**
+ * Starts WebGL2 on a canvas.
+ *
+ * @param {string | null} reason why WebGPU does not draw
+ * @returns {Promise<Engine & {stop: () => void}>} `stop` frees what the engine holds; it draws no more then
+ */
+export async function startWebgl2(canvas, reason) {
   const module = await import("./engine-webgl2/tcgs_play.js");
   await module.default();
   const worker = new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
   try {
     const viewer = await module.Viewer.create(canvas, worker);
-    return { name: "WebGL2", viewer, CameraPath: module.CameraPath, canvas, reason };
+    const stop = () => {
+      worker.terminate();
+      viewer.free();
+      canvas.getContext("webgl2").getExtension("WEBGL_lose_context")?.loseContext();
+    };
+    return { name: "WebGL2", viewer, CameraPath: module.CameraPath, canvas, reason, stop };
   } catch (error) {
     worker.terminate();
     throw error;

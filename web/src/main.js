@@ -11,6 +11,7 @@ import { Player } from "./player.js";
 import { sound } from "./sound.js";
 import { training } from "./training.js";
 import { cards, element, idling, playback, shortcuts, showCard, statistics, toast } from "./ui.js";
+import { offerVr } from "./vr.js";
 
 const params = readParams(location.search);
 const named = (what) => document.querySelector(`meta[name=tcgs-${what}]`).content;
@@ -50,6 +51,7 @@ shortcuts(player, {
   t: toggleCurves,
 });
 listenToEmbedder(player);
+offerVr(player);
 
 player.addEventListener("lost", () => toast("The camera path breaks off here"));
 player.addEventListener("fallback", ({ detail }) => toast(`${detail}: drawing with ${player.renderer} now`));

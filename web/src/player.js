@@ -20,7 +20,7 @@ const MAX_RESTARTS = 2;
  * (the same for a scene that replaces another), `frame` (a frame was drawn; its state is `player.state`), `change` (of
  * settings, of playing, or of the path), `lost` (the path has no camera at the timestep and is no longer followed),
  * `canvas` (`detail`: the canvas that is drawn on from now on), `fallback` (WebGPU does not draw; `detail` says why),
- * `failure` (`detail`: the error).
+ * `back` (the scene is no longer shown elsewhere), `failure` (`detail`: the error).
  */
 export class Player extends EventTarget {
   /** Whether the camera follows the path. A drag on the scene or a key ends that. */
@@ -44,6 +44,8 @@ export class Player extends EventTarget {
   #options;
   #observer;
   #viewer = null;
+  /** The viewer that shows the scene elsewhere, as in a headset; null: the page shows it. */
+  #elsewhere = null;
   #CameraPath = null;
   #starting = null;
   #restarts = 0;
@@ -90,6 +92,7 @@ export class Player extends EventTarget {
    * @param {string | Blob} given an address or a file
    */
   async open(given, timestep = 0) {
+    this.takeBack();
     const turn = ++this.#turn;
     this.#source = given;
     this.#opening = true;
@@ -126,6 +129,7 @@ export class Player extends EventTarget {
    */
   async replace(file) {
     if (!this.info) return this.open(file);
+    this.takeBack();
     const turn = ++this.#turn;
     const { camera, info, playing } = { camera: this.camera(), info: this.info, playing: this.playing };
     const frame = info.firstFrame + (this.state?.timestep ?? 0);
@@ -218,16 +222,55 @@ export class Player extends EventTarget {
     return new this.#CameraPath();
   }
 
+  /**
+   * Hands the clock to a viewer that shows the same scene elsewhere. Until `takeBack` the page draws nothing, and the
+   * event `frame` tells of each call of `showElsewhere`.
+   */
+  handOver(viewer) {
+    this.#setClock(viewer);
+    this.#viewer.pause();
+    this.#elsewhere = viewer;
+    this.rate = null;
+  }
+
+  /** Takes the state of a frame that was drawn elsewhere, as the engine reports it. */
+  showElsewhere(viewer, state) {
+    if (viewer !== this.#elsewhere) return;
+    this.state = state;
+    this.#tell("frame");
+  }
+
+  /** Shows the scene on the page again, at the time that it has reached. */
+  takeBack() {
+    if (!this.#elsewhere) return;
+    this.#elsewhere = null;
+    this.#setClock(this.#viewer);
+    this.#drawn = performance.now();
+    this.#last = null;
+    this.#resolution.forget();
+    this.touch();
+    this.#tell("back");
+  }
+
+  /** Sets the clock of a viewer to the current time. */
+  #setClock(viewer) {
+    viewer.setLoop(this.loop);
+    viewer.setSpeed(this.speed);
+    viewer.seek(this.state?.timestep ?? 0);
+    if (this.playing) viewer.play();
+    else viewer.pause();
+  }
+
   get playing() {
     return this.state?.playing ?? false;
   }
 
   play() {
-    this.#do((viewer) => viewer.play());
+    this.#doClock((viewer) => viewer.play());
   }
 
   pause() {
-    this.#do((viewer) => viewer.pause());
+    this.#doClock((viewer) => viewer.pause());
   }
 
   toggle() {
@@ -236,22 +279,22 @@ export class Player extends EventTarget {
   }
 
   seek(timestep) {
-    this.#do((viewer) => viewer.seek(Math.min(Math.max(0, timestep), this.info.numTimesteps - 1)));
+    this.#doClock((viewer) => viewer.seek(Math.min(Math.max(0, timestep), this.info.numTimesteps - 1)));
   }
 
   step(count) {
-    this.#do((viewer) => viewer.step(count));
+    this.#doClock((viewer) => viewer.step(count));
   }
 
   setSpeed(speed) {
     this.speed = speed;
-    this.#do((viewer) => viewer.setSpeed(speed));
+    this.#doClock((viewer) => viewer.setSpeed(speed));
     this.#tell("change");
   }
 
   setLoop(loop) {
     this.loop = loop;
-    this.#do((viewer) => viewer.setLoop(loop));
+    this.#doClock((viewer) => viewer.setLoop(loop));
     this.#tell("change");
   }
 
@@ -348,10 +391,14 @@ export class Player extends EventTarget {
     delete this.#canvas.dataset.resting;
   }
 
-  #do(action) {
+  #do(action, viewer = this.#viewer) {
     if (!this.info || this.#replacing) return;
-    action(this.#viewer);
+    action(viewer);
     this.touch();
+  }
+
+  #doClock(action) {
+    this.#do(action, this.#elsewhere ?? this.#viewer);
   }
 
   #tell(type, detail) {
@@ -374,7 +421,7 @@ export class Player extends EventTarget {
 
   #tick = (now) => {
     requestAnimationFrame(this.#tick);
-    if (this.#stopped) return;
+    if (this.#stopped || this.#elsewhere) return;
     if (this.#opening && this.#viewer) return this.#watch(now);
     if (!this.info || this.#replacing) return;
     const incomplete = this.state === null || this.state.buffering || !this.state.drawn;
@@ -465,7 +512,7 @@ async function rangeOf(source, start, end) {
 }
 
 /** Resolves the address of a scene against that of the page. */
-function addressOf(text) {
+export function addressOf(text) {
   try {
     return new URL(text, location.href).href;
   } catch {

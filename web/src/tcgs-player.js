@@ -50,7 +50,7 @@ export class TcgsPlayer extends EventTarget {
     this.frame = document.createElement("iframe");
     this.frame.src = address.href;
     this.frame.title = "3D scene";
-    this.frame.allow = "fullscreen";
+    this.frame.allow = "fullscreen; xr-spatial-tracking";
     this.#ready = new Promise((resolve) => this.addEventListener("ready", resolve, { once: true }));
     window.addEventListener("message", (event) => this.#hear(event), { signal: this.#stop.signal });
     container.append(this.frame);

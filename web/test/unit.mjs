@@ -6,6 +6,7 @@ import { test } from "node:test";
 
 import { digits, line } from "../src/chart.js";
 import { explain } from "../src/failures.js";
+import { cameraOfAll, carried, eyeOf, stand } from "../src/headset.js";
 import { readParams } from "../src/params.js";
 import { AdaptiveResolution } from "../src/resolution.js";
 import { follow } from "../src/sound.js";
@@ -243,4 +244,89 @@ test("a sound follows the clock, and falls silent with it", () => {
     at(4);
     assert.equal(at(seconds, speed, more)[0], true, `${seconds} s at ${speed}`);
   }
+});
+
+/** Where a camera sees a point, pixels and depth. */
+function seen({ fx, fy, cx, cy, cameraFromWorld: m }, p) {
+  const [x, y, z] = [0, 4, 8].map((i) => m[i] * p[0] + m[i + 1] * p[1] + m[i + 2] * p[2] + m[i + 3]);
+  return [(fx * x) / z + cx, (fy * y) / z + cy, z];
+}
+
+const near = (found, expected, what) =>
+  found.forEach((x, i) => assert.ok(Math.abs(x - expected[i]) < 1e-5, `${what}: ${found}, expected ${expected}`));
+
+/** Where a point of the scene is in the room. */
+const inRoom = ({ scale, turn, place }, p) => turn.map((row, i) => scale * row.reduce((sum, x, j) => sum + x * p[j], 0) + place[i]);
+
+test("a scene stands at its size on the floor, or is fitted", () => {
+  // It looks along +x and down by 45 degrees, from 1.5 above the ground; +z is up.
+  const half = Math.SQRT1_2;
+  const cameraFromWorld = [0, -1, 0, 5, -half, 0, -half, 2 * half, half, 0, -half, 0, 0, 0, 0, 1];
+  const camera = { width: 64, height: 48, fx: 50, fy: 50, cx: 32, cy: 24, cameraFromWorld };
+  near(seen(camera, [2, 5, 0]), [32, 24, 2 * half], "the camera of this test");
+  const standing = { camera, pivot: [4, 5, -2], up: [0, 0, 1], ground: 0.5 };
+  const metric = stand(standing, 0.1);
+  near(inRoom(metric, [1, 5, 1]), [0, 0.05, 0], "the start view");
+  near(inRoom(metric, [11, 4, 0.5]), [0.1, 0, -1], "ahead to the right, on the ground");
+  const fitted = stand(standing, null);
+  near([fitted.scale], [2 / Math.hypot(3, 3)], "scale");
+  near(inRoom(fitted, [4, 5, -2]), [0, 0.6, -2], "the middle, not below the floor");
+  near(inRoom(stand({ ...standing, ground: null }, null), [4, 5, -2]), [0, 1, -2], "without a ground");
+});
+
+/** Eyes of a head at a place, which each look outwards by an angle. */
+function eyesAt(position, outwards, standing) {
+  return [-1, 1].map((side) => {
+    const [c, s] = [Math.cos(side * outwards), Math.sin(side * outwards)];
+    const [x, y, z] = [position[0] + side * 0.03, position[1], position[2]];
+    // Columns; the eye's right is (c, 0, s), its back (-s, 0, c).
+    const matrix = [c, 0, -s, 0, 0, 1, 0, 0, s, 0, c, 0, -(c * x + s * z), -y, s * x - c * z, 1];
+    // It sees less towards the nose than outwards.
+    const projectionMatrix = [1, 0, 0, 0, 0, 1.2, 0, 0, 0.2 * side, 0.1, -1, -1, 0, 0, -0.1, 0];
+    return eyeOf({ projectionMatrix, transform: { inverse: { matrix } } }, { x: 0, y: 0, width: 100, height: 80 }, standing);
+  });
+}
+
+test("the camera of the order sees what the eyes see", () => {
+  const [c, s] = [Math.cos(0.8), Math.sin(0.8)];
+  const standing = { scale: 0.5, turn: [[c, 0, s], [0, 1, 0], [-s, 0, c]], place: [0.1, 0.7, -0.2] };
+  let count = 0;
+  for (const outwards of [0, 0.2]) {
+    const eyes = eyesAt([0.1, 1.5, 0.2], outwards, standing);
+    const all = cameraOfAll(eyes);
+    assert.ok(all.width < 3 * 100 && all.height < 3 * 80, `${all.width}x${all.height}`);
+    for (let i = 0; i < 20000; i++) {
+      const point = [0, 1, 2].map((k) => 8 * (((i + 1) * [0.754877, 0.569840, 0.438579][k]) % 1) - 4);
+      for (const eye of eyes) {
+        const [x, y, depth] = seen(eye, point);
+        if (depth <= 0 || x < 0 || x > 100 || y < 0 || y > 80) continue;
+        count += 1;
+        const [column, row, ahead] = seen(all, point);
+        const isSeen = ahead > 0 && column > -1e-6 && column < all.width && row > -1e-6 && row < all.height;
+        assert.ok(isSeen, `${[x, y, depth]} at ${[column, row, ahead]}`);
+      }
+    }
+  }
+  assert.ok(count > 2000, String(count));
+  const [one] = eyesAt([0, 1, 0], 0, standing);
+  const { cameraFromWorld, fx } = cameraOfAll([one]);
+  near(cameraFromWorld, one.cameraFromWorld, "one eye is its own camera");
+  assert.equal(fx, one.fx);
+});
+
+test("hands carry a scene and keep its floor level", () => {
+  const start = { scale: 2, turn: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], place: [1, 0, -3] };
+  const [upright, scales] = [[0, 0, 0, 1], [1, 3]];
+  // A quarter to the left about the vertical axis, and a roll that does not count.
+  const [q, r] = [Math.PI / 4, 0.3];
+  const rolled = [Math.sin(q) * Math.sin(r), Math.sin(q) * Math.cos(r), Math.cos(q) * Math.sin(r), Math.cos(q) * Math.cos(r)];
+  const one = carried(start, [{ position: [0, 1, -1], orientation: upright }], [{ position: [0, 2, -1], orientation: rolled }], scales);
+  near(inRoom(one, [0, 0, 0]), [-2, 1, -2], "moved and turned");
+  near(inRoom(one, [0, 1, 0]), [-2, 3, -2], "level");
+  const at = (...positions) => positions.map((position) => ({ position, orientation: upright }));
+  const two = carried(start, at([-1, 1, 0], [1, 1, 0]), at([0, 1, 1.25], [0, 1, -1.25]), scales);
+  near([two.scale], [2.5], "larger");
+  near(inRoom(two, [0, 0, 0]), [-3.75, -0.25, -1.25], "about the middle of both");
+  assert.equal(carried(start, at([-1, 1, 0], [1, 1, 0]), at([-9, 1, 0], [9, 1, 0]), scales).scale, 3, "not too large");
+  assert.deepEqual(carried(start, at([0, 1, 0], [0, 2, 0]), at([0, 1, 0.01], [0, 2, -0.01]), [2, 2]).turn[0], [1, 0, 0], "hands above each other");
 });

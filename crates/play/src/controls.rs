@@ -5,6 +5,8 @@
 
 use tcgs_core::{Camera, CameraError, add_scaled, cross, dot, length, normalize, sub};
 
+use crate::start_view::StartView;
+
 /// The axis that points up and the line of sight stay at least this far apart, so that the picture never flips.
 const MIN_POLE_ANGLE: f64 = 0.05;
 /// The camera comes no nearer to its pivot than this share of the distance that it started from.
@@ -96,6 +98,11 @@ impl Controls {
         let camera = Camera::new(width, height, intrinsics, camera_from_world)?;
         self.pose = CameraPose::of(&camera, ahead(&camera, self.pose.pivot()));
         Ok(())
+    }
+
+    /// The view to which [`Self::reset`] returns; its pivot lies straight ahead of the camera.
+    pub fn start_view(&self) -> StartView {
+        StartView { camera: self.start.given.clone(), up: self.up, pivot: self.start.pivot() }
     }
 
     /// Moves back to the start.

@@ -61,7 +61,7 @@ mod viewer;
 mod web;
 
 #[cfg(feature = "webgl2")]
-pub use arrange::{Arranger, Changes, LINE, ROW_WORDS};
+pub use arrange::{Arranger, Changes, LINE, ROW_WORDS, ground};
 pub use clock::Clock;
 pub use controls::Controls;
 pub use error::{BadCamera, ErrorCode, PlayError};

@@ -172,20 +172,39 @@ impl<F: Feed, R: Renderer<Moment = F::Moment>> Viewer<F, R> {
     /// # Errors
     /// [`PlayError::Gpu`] if the GPU fails.
     pub fn draw(&mut self, size: [usize; 2], target: &R::Target) -> Result<Option<FrameReport>, PlayError> {
-        let Some(Session { player, display: Some(display) }) = &mut self.session else {
-            return R::clear(&self.device, target, self.background).map(|()| None);
-        };
-        let camera = display.controls.camera(size);
-        player.look(&camera);
+        match self.camera(size) {
+            Some(camera) => self.draw_views(&camera, &[(&camera, target)]),
+            None => R::clear(&self.device, target, self.background).map(|()| None),
+        }
+    }
+
+    /// Draws several pictures of the timestep that [`Self::draw`] would draw, such as those of both eyes.
+    ///
+    /// - `sorter`: camera of the order, and of colours that depend on the direction of view. It must see what any
+    ///   picture shows
+    /// - `views`: camera and target of each picture
+    /// - returns: `None` as long as there is no picture; the targets are unchanged then
+    ///
+    /// # Errors
+    /// [`PlayError::Gpu`] if the GPU fails.
+    pub fn draw_views(
+        &mut self,
+        sorter: &Camera,
+        views: &[(&Camera, &R::Target)],
+    ) -> Result<Option<FrameReport>, PlayError> {
+        let Some(Session { player, display: Some(display) }) = &mut self.session else { return Ok(None) };
+        player.look(sorter);
         let (moment, background, light) = (&display.shown, self.background, player.light(&display.shown));
-        display.renderer.draw(&PictureRequest { moment, camera: &camera, background, light }, target)?;
+        for &(camera, target) in views {
+            display.renderer.draw(&PictureRequest { moment, camera, background, light }, target)?;
+        }
         Ok(player.clock().map(|clock| FrameReport {
             time: clock.position(),
             seconds: clock.seconds(),
             timestep: clock.timestep(),
             is_playing: clock.is_playing(),
             is_buffering: player.is_buffering(),
-            is_drawn: player.is_due(&display.shown, &camera) && display.renderer.is_whole(),
+            is_drawn: player.is_due(&display.shown, sorter) && display.renderer.is_whole(),
         }))
     }
 
@@ -257,6 +276,16 @@ impl<F: Feed, R: Renderer<Moment = F::Moment>> Viewer<F, R> {
     /// The camera's controls, once there is a picture.
     pub fn controls_mut(&mut self) -> Option<&mut Controls> {
         Some(&mut self.session.as_mut()?.display.as_mut()?.controls)
+    }
+
+    /// The timestep that is drawn, once there is a picture.
+    pub fn shown(&self) -> Option<&F::Moment> {
+        Some(&self.session.as_ref()?.display.as_ref()?.shown)
+    }
+
+    /// The view at the start, once there is a picture.
+    pub fn start_view(&self) -> Option<StartView> {
+        Some(self.session.as_ref()?.display.as_ref()?.controls.start_view())
     }
 
     /// The camera for a picture of some size, once there is a picture.

@@ -17,7 +17,7 @@ use tcgs_core::{Attribute, Camera, Gaussians, Life, seen_colors, sigmoid};
 
 use crate::holdings::Moment;
 use order::Order;
-pub use rows::{LINE, ROW_WORDS};
+pub use rows::{LINE, ROW_WORDS, ground};
 use rows::{Row, reach};
 
 /// Rows of a timestep, and their order from a camera.

@@ -4,6 +4,7 @@
 //! they err by at most a sixteenth of a step of 8 bits.
 
 use bytemuck::{Pod, Zeroable};
+use tcgs_core::dot;
 use tcgs_render::settings::MIN_ALPHA;
 
 /// Words of a row.
@@ -63,6 +64,27 @@ pub(super) fn reach(row: &Row) -> f32 {
     if (least..half(2.0)).contains(&opacity) && most.is_finite() { most } else { -1.0 }
 }
 
+/// Height below which few Gaussians lie.
+///
+/// - `rows`: as [`Arranger::rows`](crate::Arranger::rows) gives them
+/// - `up`: unit direction in the world
+/// - returns: along `up`, scene units from the origin; `None` without Gaussians
+///
+/// ```
+/// let none = [0; tcgs_play::ROW_WORDS];
+/// assert_eq!(tcgs_play::ground(&none, [0.0, 1.0, 0.0]), None);
+/// ```
+pub fn ground(rows: &[u32], up: [f64; 3]) -> Option<f64> {
+    /// Least opacity of what counts.
+    const LEAST: f32 = 0.1;
+    /// Share of the Gaussians below: those that err.
+    const BELOW: f64 = 0.02;
+    let counted = bytemuck::cast_slice::<u32, Row>(rows).iter().filter(|row| row.blue_opacity >> 16 >= half(LEAST));
+    let mut heights: Vec<f64> = counted.map(|row| dot(up, row.mean.map(f64::from))).collect();
+    let index = (BELOW * heights.len() as f64) as usize;
+    (!heights.is_empty()).then(|| *heights.select_nth_unstable_by(index, f64::total_cmp).1)
+}
+
 /// The nearest half, ties to even; what is larger than all halves becomes the largest.
 pub(super) fn half(x: f32) -> u32 {
     /// `2^-14`, the least half whose mantissa has all its bits.
@@ -110,6 +132,21 @@ mod tests {
         assert_eq!(half(1e9), 0x7bff);
         assert_eq!(half(-1e9), 0xfbff);
         assert_eq!(half(f32::NAN), 0x7bff);
+    }
+
+    #[test]
+    fn the_ground_lies_below_all_but_a_few() {
+        let row = |height: f32, opacity: f32| {
+            let mut row = Row::default();
+            row.set_mean([3.0, -height, 5.0]);
+            row.set_opacity(opacity);
+            row
+        };
+        let mut rows: Vec<Row> = (0..200).map(|i| row(1.0 + 0.01 * ((7 * i) % 200) as f32, 0.5)).collect();
+        rows.extend([row(-9.0, 0.9), row(-8.0, 0.9), row(-99.0, 0.05), Row::default()]);
+        let found = ground(bytemuck::cast_slice(&rows), [0.0, -1.0, 0.0]).unwrap();
+        assert!((found - 1.02).abs() < 1e-6, "{found}");
+        assert_eq!(ground(&[0; ROW_WORDS], [0.0, -1.0, 0.0]), None);
     }
 
     #[test]

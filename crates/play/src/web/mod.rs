@@ -2,6 +2,7 @@
 //!
 //! - `webgpu` or `webgl2`: the canvas, and where a scene is decoded; the features of the build choose one of them
 //! - `worker`: both ends of the way to the worker that decodes for `webgl2`
+//! - `headset`: pictures for a headset's eyes, with `webgl2`
 //! - `source`, `global`: downloads and times, in pages and workers
 //!
 //! The state of a `Viewer` lies behind one `RefCell`, which is never borrowed across an `await`. So the page may call
@@ -16,6 +17,8 @@ mod drawing;
 #[path = "webgpu.rs"]
 mod drawing;
 mod global;
+#[cfg(not(feature = "webgpu"))]
+mod headset;
 mod object;
 mod source;
 #[cfg(not(feature = "webgpu"))]
@@ -31,7 +34,7 @@ use wasm_bindgen::prelude::*;
 use wasm_bindgen_futures::{JsFuture, future_to_promise};
 
 use crate::error::{BadCamera, PlayError};
-use crate::viewer::Viewer;
+use crate::viewer::{FrameReport, Viewer};
 use drawing::{Canvas, CanvasRenderer, ScenePlayer, is_ready};
 use global::{now_ms, set_timeout};
 use object::{camera_object, camera_of, object};
@@ -169,27 +172,9 @@ impl WebViewer {
     pub fn frame(&self, now_ms: f64) -> Result<JsValue, JsValue> {
         let mut guard = self.state.borrow_mut();
         let state = &mut *guard;
-        let updated = state.viewer.update(now_ms);
-        if state.is_open {
-            updated?;
-        } else if let Some(waker) = state.waker.take() {
-            waker.wake();
-        }
+        state.update(now_ms)?;
         let drawn = state.canvas.draw(&mut state.viewer, state.size)?;
-        let gaussians = state.viewer.info().map_or(0, |info| info.num_gaussians);
-        let frame = drawn.as_ref();
-        Ok(object([
-            ("time", frame.map_or(0.0, |frame| frame.time).into()),
-            ("seconds", frame.map_or(0.0, |frame| frame.seconds).into()),
-            ("timestep", frame.map_or(0, |frame| frame.timestep as u32).into()),
-            ("playing", frame.is_some_and(|frame| frame.is_playing).into()),
-            ("buffering", frame.is_none_or(|frame| frame.is_buffering).into()),
-            ("drawn", frame.is_some_and(|frame| frame.is_drawn).into()),
-            ("gaussians", gaussians.into()),
-            ("bytesLoaded", (state.viewer.bytes_loaded() as f64).into()),
-            ("width", (state.size[0] as u32).into()),
-            ("height", (state.size[1] as u32).into()),
-        ]))
+        Ok(state.report(drawn.as_ref()))
     }
 
     /// Number of frames that the GPU has not finished yet. A page waits until it is small before it draws, because
@@ -203,9 +188,14 @@ impl WebViewer {
         Ok(self.state.borrow().canvas.check()?)
     }
 
-    /// Lets time pass.
+    /// Lets time pass, from now on: a page at rest does not call `frame`.
     pub fn play(&self) {
-        self.with_clock(|clock| clock.play());
+        self.with_clock(|clock| {
+            if !clock.is_playing() {
+                clock.hold(now_ms());
+            }
+            clock.play();
+        });
     }
 
     /// Stops time.
@@ -347,6 +337,36 @@ impl WebViewer {
                 }
             }
         })
+    }
+}
+
+impl ViewerState {
+    /// Lets time pass. Errors of a scene that is still opening go to the promise of `open`.
+    fn update(&mut self, now_ms: f64) -> Result<(), PlayError> {
+        let updated = self.viewer.update(now_ms);
+        if self.is_open {
+            updated?;
+        } else if let Some(waker) = self.waker.take() {
+            waker.wake();
+        }
+        Ok(())
+    }
+
+    /// What `frame` returns.
+    fn report(&self, frame: Option<&FrameReport>) -> JsValue {
+        let gaussians = self.viewer.info().map_or(0, |info| info.num_gaussians);
+        object([
+            ("time", frame.map_or(0.0, |frame| frame.time).into()),
+            ("seconds", frame.map_or(0.0, |frame| frame.seconds).into()),
+            ("timestep", frame.map_or(0, |frame| frame.timestep as u32).into()),
+            ("playing", frame.is_some_and(|frame| frame.is_playing).into()),
+            ("buffering", frame.is_none_or(|frame| frame.is_buffering).into()),
+            ("drawn", frame.is_some_and(|frame| frame.is_drawn).into()),
+            ("gaussians", gaussians.into()),
+            ("bytesLoaded", (self.viewer.bytes_loaded() as f64).into()),
+            ("width", (self.size[0] as u32).into()),
+            ("height", (self.size[1] as u32).into()),
+        ])
     }
 }
 

@@ -30,6 +30,12 @@ impl From<PlayError> for JsValue {
     }
 }
 
+/// An array of three numbers.
+#[cfg(not(feature = "webgpu"))]
+pub fn vector(values: [f64; 3]) -> JsValue {
+    values.into_iter().map(JsValue::from_f64).collect::<Array>().into()
+}
+
 /// The object `{width, height, fx, fy, cx, cy, cameraFromWorld}` of a camera: pixels, and 16 numbers in rows.
 pub fn camera_object(camera: &Camera) -> JsValue {
     let matrix: Array = camera.camera_from_world.as_flattened().iter().map(|&x| JsValue::from_f64(x)).collect();

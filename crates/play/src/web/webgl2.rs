@@ -68,12 +68,30 @@ pub struct Context {
     splats: WebGlProgram,
     uniforms: Uniforms,
     copy: WebGlProgram,
+    /// Uniform of `copy`.
+    corner: Option<WebGlUniformLocation>,
     /// Without any attribute.
     no_attributes: WebGlVertexArrayObject,
     target: RefCell<Target>,
     /// Format of the blending.
     format: u32,
     most: usize,
+}
+
+/// Part of a framebuffer.
+pub struct Place {
+    /// `None`: the canvas.
+    pub framebuffer: Option<WebGlFramebuffer>,
+    /// Left and lower edge, pixels.
+    pub corner: [i32; 2],
+    /// Width and height, pixels.
+    pub size: [usize; 2],
+}
+
+impl Place {
+    fn all_of(framebuffer: Option<WebGlFramebuffer>, size: [usize; 2]) -> Self {
+        Self { framebuffer, corner: [0, 0], size }
+    }
 }
 
 /// The picture into which splats are blended.
@@ -143,7 +161,7 @@ impl Canvas {
         viewer: &mut Viewer<ScenePlayer, CanvasRenderer>,
         size: [usize; 2],
     ) -> Result<Option<FrameReport>, PlayError> {
-        let frame = viewer.draw(size, &size)?;
+        let frame = viewer.draw(size, &Place::all_of(None, size))?;
         let gl = &self.context.gl;
         self.fences.extend(gl.fence_sync(Gl::SYNC_GPU_COMMANDS_COMPLETE, 0));
         gl.flush();
@@ -200,11 +218,12 @@ impl Context {
             antialiased: uniform("antialiased"),
         };
         let framebuffer = gl.create_framebuffer().ok_or_else(|| lost("no framebuffer"))?;
+        let corner = gl.get_uniform_location(&copy, "corner");
         let no_attributes = gl.create_vertex_array().ok_or_else(|| lost("no vertex array"))?;
         let most = gl.get_parameter(Gl::MAX_TEXTURE_SIZE).ok().and_then(|most| most.as_f64()).unwrap_or(2048.0);
         let target = RefCell::new(Target { framebuffer, texture: None, size: [0, 0] });
         let format = if is_half { Gl::RGBA16F } else { Gl::RGBA8 };
-        Ok(Self { gl, splats, uniforms, copy, no_attributes, target, format, most: most as usize })
+        Ok(Self { gl, splats, uniforms, copy, corner, no_attributes, target, format, most: most as usize })
     }
 
     /// Whether the GPU still works.
@@ -229,12 +248,15 @@ impl Context {
         gl.clear(Gl::COLOR_BUFFER_BIT);
     }
 
-    /// Copies the picture to a framebuffer of the same size; `None` is the canvas.
-    fn copy_to(&self, framebuffer: Option<&WebGlFramebuffer>) {
+    /// Copies the picture to a place of the same size.
+    fn copy_to(&self, place: &Place) {
         let gl = &self.gl;
-        gl.bind_framebuffer(Gl::FRAMEBUFFER, framebuffer);
+        gl.bind_framebuffer(Gl::FRAMEBUFFER, place.framebuffer.as_ref());
+        let [x, y] = place.corner;
+        gl.viewport(x, y, place.size[0] as i32, place.size[1] as i32);
         gl.disable(Gl::BLEND);
         gl.use_program(Some(&self.copy));
+        gl.uniform2i(self.corner.as_ref(), x, y);
         gl.bind_vertex_array(Some(&self.no_attributes));
         gl.bind_texture(Gl::TEXTURE_2D, self.target.borrow().texture.as_ref());
         gl.draw_arrays(Gl::TRIANGLES, 0, 3);
@@ -243,14 +265,15 @@ impl Context {
     /// Takes the pixels of the picture.
     fn read(&self, [width, height]: [usize; 2]) -> Result<Vec<u8>, PlayError> {
         let gl = &self.gl;
-        let (framebuffer, pixels) = (gl.create_framebuffer(), texture(gl, Gl::RGBA8, [width, height]));
-        gl.bind_framebuffer(Gl::FRAMEBUFFER, framebuffer.as_ref());
+        let pixels = texture(gl, Gl::RGBA8, [width, height]);
+        let place = Place::all_of(gl.create_framebuffer(), [width, height]);
+        gl.bind_framebuffer(Gl::FRAMEBUFFER, place.framebuffer.as_ref());
         gl.framebuffer_texture_2d(Gl::FRAMEBUFFER, Gl::COLOR_ATTACHMENT0, Gl::TEXTURE_2D, pixels.as_ref(), 0);
-        self.copy_to(framebuffer.as_ref());
+        self.copy_to(&place);
         let mut bytes = vec![0; 4 * width * height];
         let (columns, rows) = (width as i32, height as i32);
         let read = gl.read_pixels_with_opt_u8_array(0, 0, columns, rows, Gl::RGBA, Gl::UNSIGNED_BYTE, Some(&mut bytes));
-        gl.delete_framebuffer(framebuffer.as_ref());
+        gl.delete_framebuffer(place.framebuffer.as_ref());
         gl.delete_texture(pixels.as_ref());
         read.map_err(|error| refused("the pixels", error.as_string()))?;
         self.check()?;
@@ -397,8 +420,7 @@ impl QuadRenderer {
 impl Renderer for QuadRenderer {
     type Moment = Words;
     type Device = Rc<Context>;
-    /// Size of the canvas, pixels.
-    type Target = [usize; 2];
+    type Target = Place;
     /// RGBA, rows from the top.
     type Still = Vec<u8>;
 
@@ -415,15 +437,15 @@ impl Renderer for QuadRenderer {
         Ok(Self { context, rows: None, num_lines: 0, order, attributes, uploaded })
     }
 
-    fn clear(context: &Rc<Context>, size: &[usize; 2], color: [f32; 3]) -> Result<(), PlayError> {
-        context.begin(*size, color);
-        context.copy_to(None);
+    fn clear(context: &Rc<Context>, place: &Place, color: [f32; 3]) -> Result<(), PlayError> {
+        context.begin(place.size, color);
+        context.copy_to(place);
         context.check()
     }
 
-    fn draw(&mut self, request: &PictureRequest<'_, Words>, _: &[usize; 2]) -> Result<(), PlayError> {
+    fn draw(&mut self, request: &PictureRequest<'_, Words>, place: &Place) -> Result<(), PlayError> {
         self.render(request)?;
-        self.context.copy_to(None);
+        self.context.copy_to(place);
         Ok(())
     }
 

@@ -14,7 +14,7 @@ use wasm_bindgen::prelude::*;
 use web_sys::{DedicatedWorkerGlobalScope, MessageEvent, Worker};
 
 use super::global::{now_ms, set_timeout};
-use super::object::{camera_object, object, set};
+use super::object::{camera_object, object, set, vector};
 use super::source::WebSource;
 use crate::error::{ErrorCode, PlayError};
 use crate::player::PlayerSettings;
@@ -58,10 +58,6 @@ fn camera_of(given: &JsValue) -> Camera {
         principal: [number(given, "cx"), number(given, "cy")],
         camera_from_world: std::array::from_fn(|row| std::array::from_fn(|column| entry(row, column))),
     }
-}
-
-fn vector(values: [f64; 3]) -> JsValue {
-    values.into_iter().map(JsValue::from_f64).collect::<Array>().into()
 }
 
 /// Messages that have come from the worker.
