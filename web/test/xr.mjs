@@ -12,7 +12,7 @@ import { compare, launch, serve, settled } from "./support.mjs";
 
 const { TCGS = "target/release/tcgs", SCENE = "tcgs-demo/scene.tcgs", SHOTS } = process.env;
 const IWER = new URL("../node_modules/iwer/build/iwer.min.js", import.meta.url).pathname;
-const PATIENCE_MS = 240_000;
+const PATIENCE_MS = 120_000;
 /** Distance of the eyes, metres; the height of the head. */
 const [EYES, HEIGHT] = [0.063, 1.6];
 /** Pixels along a side of an eye's picture, which shows 90 degrees. */
@@ -187,7 +187,11 @@ async function agree(page, picture, dots, { head = [0, HEIGHT, 0], what }) {
 
 /** The page's picture without its controls. */
 async function middle(page) {
-  await page.waitForSelector("#canvas[data-resting]");
+  await page.waitForSelector("#canvas[data-resting]").catch(async (error) => {
+    // What the page shows instead says why.
+    const texts = ["#frame-number", "#toast", "#failure-detail", "#stat-renderer"].map((id) => page.textContent(id));
+    throw new Error(`${await Promise.all(texts)}, ${await page.getAttribute("#play", "aria-label")}`, { cause: error });
+  });
   const { width, height } = page.viewportSize();
   return page.screenshot({ clip: { x: 0, y: height / 8, width: (5 * width) / 8, height: height / 2 } });
 }
