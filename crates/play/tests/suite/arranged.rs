@@ -219,9 +219,10 @@ fn a_player_in_a_worker_shows_what_any_player_shows() {
         assert_eq!(player.archive().unwrap().info(), alone.archive().unwrap().info());
         assert_eq!(player.clock().unwrap().timestep(), 3);
 
-        for timestep in [3, 9, 4] {
+        // The order for the camera of the start is there before the page asks for it.
+        let resized = |timestep: usize| (timestep, start.camera.resized(64 + timestep, 36));
+        for (timestep, camera) in [(3, start.camera.clone()), resized(3), resized(9), resized(4)] {
             player.clock_mut().unwrap().seek(timestep);
-            let camera = start.camera.resized(64 + timestep, 36);
             let mut count = 0;
             loop {
                 player.update(0.0).unwrap();
@@ -275,6 +276,35 @@ fn time_passes_while_a_worker_is_busy_and_stands_while_something_is_missing() {
     player.update(400.0).unwrap();
     assert_eq!(player.clock().unwrap().position(), before);
     assert!(player.is_buffering());
+}
+
+#[test]
+fn an_order_that_does_not_change_is_that_of_the_last_request() {
+    let file = room_file(500, 12, &CompressSettings::default());
+    let ends = Ends::default();
+    let mut worker = SceneWorker::new(BytesSource::new(&file[..]), settings(1 << 30), 0);
+    let mut player = RemotePlayer::new(ends.clone(), 0);
+    while player.current().is_none() {
+        player.update(0.0).unwrap();
+        ends.work(&mut worker);
+    }
+    let camera = player.start_view(&player.current().unwrap()).camera.resized(64, 36);
+    player.look(&camera);
+    ends.work(&mut worker);
+    // The order comes after the next request, which changes neither timestep nor camera.
+    let ordered = ends.replies.borrow_mut().pop_back().unwrap();
+    assert!(ordered.order.is_some());
+    ends.replies.borrow_mut().push_back(Reply { id: ordered.id, ..Reply::default() });
+    player.update(0.0).unwrap();
+    player.clock_mut().unwrap().set_looping(false);
+    player.update(0.0).unwrap();
+    ends.replies.borrow_mut().push_back(ordered);
+    player.update(0.0).unwrap();
+    assert!(!player.is_due(&player.current().unwrap(), &camera), "it may be the order for another camera");
+    ends.work(&mut worker);
+    assert!(ends.replies.borrow()[0].order.is_none(), "it has not changed");
+    player.update(0.0).unwrap();
+    assert!(player.is_due(&player.current().unwrap(), &camera));
 }
 
 #[test]
