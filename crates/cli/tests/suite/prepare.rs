@@ -84,7 +84,7 @@ fn points_may_be_written_alone() {
     assert!(fail(2, &[&arguments[..], &["--force", "--hold-out", "99"]].concat()).contains("has no camera 99"));
     let out = folder.path().join("capture");
     let message = fail(2, &["prepare", text(&source), "--out", text(&out), "--hold-out", "2"]);
-    assert!(message.contains("hold_out is given for a capture, expected a folder of videos"), "{message}");
+    assert!(message.contains("hold_out: is given for a capture, expected a folder of videos"), "{message}");
 }
 
 #[test]
