@@ -1,9 +1,9 @@
-// Shows the player's scene in a headset, by WebXR. An engine of its own with WebGL2 draws, whatever the page draws with. Its
+// Shows the player's scene in a headset, by WebXR. A second engine draws with WebGL2, whatever the page draws with. Its
 // canvas fits the headset's graphics card, and the page's picture stays as it is.
 //
-// Rooms have y up and -z ahead, in metres. A scene stands in the room as `{scale, turn, place}`: the point p of the scene
-// is at `scale * turn * p + place`. `scale` is the metres of a scene unit. `turn` has the rows of a rotation, which leaves
-// the scene's up direction up.
+// Rooms have y up and -z ahead, in metres. A scene stands in the room as `{scale, turn, place}`. The point p of the
+// scene is at `scale * turn * p + place`. `scale` is the metres of a scene unit. `turn` has the rows of a rotation that
+// leaves the scene's up direction up.
 
 import { startWebgl2 } from "./engine.js";
 import { addressOf } from "./player.js";

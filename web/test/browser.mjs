@@ -12,7 +12,7 @@ import { dirname, join } from "node:path";
 import { after, before, test } from "node:test";
 import { pathToFileURL } from "node:url";
 
-import { compare, drop, launch, plyOfSpheres, serve, settled } from "./support.mjs";
+import { compare, drop, launch, plyOfSpheres, serve, settled, watchedPage } from "./support.mjs";
 
 const { TCGS = "target/release/tcgs", SCENE = "tcgs-demo/scene.tcgs", SHOTS } = process.env;
 const bytes = readFileSync(SCENE);
@@ -49,14 +49,7 @@ async function open(t, query = EXACT, { from = tiny, script, standIn = false, pr
   const context = await (webgpu === true ? browser : plain).newContext({ viewport, colorScheme: "dark", reducedMotion: "reduce", ...options });
   context.setDefaultTimeout(PATIENCE_MS);
   await prepare?.(context);
-  const page = await context.newPage();
-  const errors = [];
-  page.on("pageerror", (error) => errors.push(error.stack ?? String(error)));
-  page.on("console", (message) => message.type() === "error" && errors.push(message.text()));
-  t.after(async () => {
-    await context.close();
-    assert.deepEqual(errors.filter((error) => !error.includes("404 (Not Found)")), []);
-  });
+  const page = await watchedPage(t, context);
   if (script) await page.addInitScript(script);
   if (webgpu === "missing") {
     await page.addInitScript(() => Object.defineProperty(Navigator.prototype, "gpu", { get: () => undefined }));

@@ -1,5 +1,6 @@
 // A browser, the server under test, and pictures to compare.
 
+import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
 import { once } from "node:events";
 import { createInterface } from "node:readline";
@@ -17,6 +18,19 @@ const WITH_WEBGPU = [
 ];
 /** Here WebGPU finds no graphics card. */
 const WITHOUT_WEBGPU = ["--use-angle=swiftshader"];
+
+/** A new page of a context. The test closes the context, and fails if a script of the page had an error. */
+export async function watchedPage(t, context) {
+  const page = await context.newPage();
+  const errors = [];
+  page.on("pageerror", (error) => errors.push(error.stack ?? String(error)));
+  page.on("console", (message) => message.type() === "error" && errors.push(message.text()));
+  t.after(async () => {
+    await context.close();
+    assert.deepEqual(errors.filter((error) => !error.includes("404 (Not Found)")), []);
+  });
+  return page;
+}
 
 /**
  * Starts Debian's Chromium with a software GPU, and with a window on whatever display there is. The browser reaches this

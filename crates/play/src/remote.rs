@@ -145,22 +145,22 @@ impl<L: Link> RemotePlayer<L> {
         }
         self.start = reply.start.or(self.start.take());
         let is_last = reply.id == self.asked.id;
-        let has_new_order = reply.order.is_some();
-        let held = self.arranged.take();
-        let (held_rows, held_order, camera) =
-            held.map_or((None, None, None), |held| (Some(held.rows), Some(held.order), held.camera));
-        let rows = reply.rows.map(Rc::new).or(held_rows);
-        let order = reply.order.map(Rc::new).or(held_order);
-        self.arranged = rows.zip(order).map(|(rows, order)| Arranged {
-            timestep: reply.timestep,
-            is_whole: reply.is_whole,
-            is_antialiased: reply.is_antialiased,
-            rows,
-            order,
-            // A new order of an earlier request is for an unknown camera. An order that has not changed is also that of
-            // the last request.
-            camera: if is_last { self.asked.camera.clone() } else { camera.filter(|_| !has_new_order) },
-        });
+        let camera = self.asked.camera.clone().filter(|_| is_last);
+        if let Some(order) = reply.order {
+            let held = self.arranged.take().map(|arranged| arranged.rows);
+            self.arranged = reply.rows.map(Rc::new).or(held).map(|rows| Arranged {
+                timestep: reply.timestep,
+                is_whole: reply.is_whole,
+                is_antialiased: reply.is_antialiased,
+                rows,
+                order: Rc::new(order),
+                // An answer to an earlier request is for an unknown camera.
+                camera,
+            });
+        } else if let Some(arranged) = self.arranged.as_mut().filter(|_| is_last && reply.is_whole) {
+            // The last request wants the same rows and the same order.
+            (arranged.timestep, arranged.camera) = (reply.timestep, camera);
+        }
         if is_last {
             self.is_waiting = false;
             self.is_missing = !reply.is_whole || reply.timestep != self.asked.timestep;

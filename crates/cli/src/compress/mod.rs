@@ -28,8 +28,8 @@ use crate::terminal::{note, say};
 
 /// Compress a trained scene into a .tcgs file
 ///
-/// A run is pruned by its masks and quantised with its learned bits. Of a scene without them, how much the
-/// images depend on each parameter is measured with the capture's cameras, or with cameras around it.
+/// A run is pruned by its masks and quantised with its learned bits. A scene without learned bits gets them by a
+/// measurement: how much do images of the capture's cameras, or of cameras around the scene, depend on each parameter?
 ///
 /// A folder has one file a timestep, in the natural order of their names: PLY of 3D Gaussian splatting, compressed PLY of
 /// SuperSplat, SPZ of versions 2 to 4, glTF with KHR_gaussian_splatting, SOG of version 2, .splat or .ksplat, with

@@ -25,9 +25,9 @@ use crate::output::{self, show_bytes};
 use crate::teller::Teller;
 use crate::terminal::say;
 
-/// Iterations of the first and of every later timestep: half a minute on two cores.
+/// Iterations of the first and of every later timestep: a minute on two cores.
 const ITERATIONS: [usize; 2] = [1000, 80];
-/// Iterations of the refinement: a quarter of a minute on two cores.
+/// Iterations of the refinement: nearly a minute on two cores.
 const REFINE_ITERATIONS: usize = 2500;
 /// Marks a folder as made by this command.
 const MARKER: &str = ".tcgs-demo";
@@ -35,7 +35,7 @@ const MARKER_TEXT: &str = "made by tcgs demo\n";
 /// Entries of the folder that the demo writes. All other entries are the user's, and stay when the demo runs again.
 const OURS: [&str; 6] = [MARKER, "capture", "run", "scene.tcgs", "frames", "report.html"];
 
-/// Run everything on a small synthetic capture: no data, no GPU, about a minute on two cores
+/// Run everything on a small synthetic capture: no data, no GPU, about two minutes on two cores
 ///
 /// Ray-traces moving objects in a room, one of which enters later, trains on the images, compresses, refines the codes
 /// on the images of all timesteps, and measures on held-out cameras. The folder then holds capture/, run/, scene.tcgs,

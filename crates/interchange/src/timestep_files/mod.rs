@@ -143,7 +143,7 @@ impl TimestepFiles {
             files.extend(sog::table_in(folder));
         }
         if files.is_empty() {
-            let problem = "holds no PLY, SPZ, glTF or SOG file, expected one a timestep".into();
+            let problem = "holds no PLY, SPZ, glTF, SOG, .splat or .ksplat file, expected one a timestep".into();
             return Err(InterchangeError::File { path: folder.into(), problem });
         }
         files.sort_by_cached_key(|path| natural_key(&name(path)));

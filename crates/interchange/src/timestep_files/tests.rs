@@ -73,7 +73,10 @@ fn numbers_that_count_up_are_frames() {
 #[test]
 fn the_first_file_that_does_not_fit_is_named() {
     let folder = tempfile::tempdir().unwrap();
-    assert_eq!(read(&folder).unwrap_err().1, "holds no PLY, SPZ, glTF or SOG file, expected one a timestep");
+    assert_eq!(
+        read(&folder).unwrap_err().1,
+        "holds no PLY, SPZ, glTF, SOG, .splat or .ksplat file, expected one a timestep"
+    );
     for timestep in 0..4 {
         write(&folder, &format!("{timestep}.ply"), &at(timestep));
     }

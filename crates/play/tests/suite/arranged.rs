@@ -282,8 +282,8 @@ fn time_passes_while_a_worker_is_busy_and_stands_while_something_is_missing() {
 fn an_order_that_does_not_change_is_that_of_the_last_request() {
     let file = room_file(500, 12, &CompressSettings::default());
     let ends = Ends::default();
-    let mut worker = SceneWorker::new(BytesSource::new(&file[..]), settings(1 << 30), 0);
-    let mut player = RemotePlayer::new(ends.clone(), 0);
+    let mut worker = SceneWorker::new(BytesSource::new(&file[..]), settings(1 << 30), 3);
+    let mut player = RemotePlayer::new(ends.clone(), 3);
     while player.current().is_none() {
         player.update(0.0).unwrap();
         ends.work(&mut worker);
@@ -296,6 +296,7 @@ fn an_order_that_does_not_change_is_that_of_the_last_request() {
     assert!(ordered.order.is_some());
     ends.replies.borrow_mut().push_back(Reply { id: ordered.id, ..Reply::default() });
     player.update(0.0).unwrap();
+    assert_eq!(player.current().unwrap().timestep, 3, "nothing has come for the request");
     player.clock_mut().unwrap().set_looping(false);
     player.update(0.0).unwrap();
     ends.replies.borrow_mut().push_back(ordered);
