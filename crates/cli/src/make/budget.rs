@@ -28,6 +28,8 @@ const MIN_WIDTH: usize = 200;
 const TRIAL: [usize; 2] = [40, 20];
 /// Time of a training in proportion to that of the short one: Gaussians become more.
 const GROWTH: f64 = 1.4;
+/// Time of refinement and page in proportion to that of training.
+const AFTER_TRAINING: f64 = 0.4;
 /// Fewest and most iterations, in proportion to those of preset fast.
 const SHARES: [f64; 2] = [0.1, 2.5];
 /// Share of the iterations of preset fast below which smaller images are better.
@@ -87,6 +89,11 @@ impl Plan {
             let size = [width / downscale, height / downscale];
             return Ok(Self { downscale, iterations, size, num_timesteps, seconds, wanted_seconds: wanted });
         }
+    }
+
+    /// Expected time of the steps after training, without a limit.
+    pub fn after_training(&self) -> Duration {
+        Duration::from_secs_f64(self.seconds * AFTER_TRAINING)
     }
 
     /// Options of `tcgs train`.

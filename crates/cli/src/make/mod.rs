@@ -22,6 +22,7 @@ use crate::error::wrong_input;
 use crate::next;
 use crate::options::{self, JobOptions};
 use crate::output::{check_files, check_folder, show_time, write_file};
+use crate::progress::{JobEnd, JobStep};
 use crate::terminal::say;
 
 use self::budget::Plan;
@@ -150,8 +151,22 @@ impl Making<'_> {
         Ok(if is_ready { source.clone() } else { self.folder.join("capture") })
     }
 
+    /// Begins a step that a user sees: progress shows the time for everything.
+    ///
+    /// - `rest`: expected time of the steps after it; none if that is unknown
+    fn begin_step(&self, number: usize, rest: Option<Duration>) {
+        let left = self.arguments.time.map(|time| time.saturating_sub(self.elapsed()));
+        let end = match (left, rest) {
+            (Some(left), _) => JobEnd::At(Instant::now() + left),
+            (None, Some(rest)) => JobEnd::After(rest),
+            (None, None) => JobEnd::Unknown,
+        };
+        JobStep { number, of: NUM_STEPS, end }.begin();
+    }
+
     fn prepare(&mut self) -> anyhow::Result<()> {
         let arguments = self.arguments;
+        self.begin_step(1, None);
         let capture = self.capture()?;
         if capture == arguments.source {
             return say(&format!("1/{NUM_STEPS}  {} is a capture with points", capture.display()));
@@ -177,6 +192,7 @@ impl Making<'_> {
             return Ok(plan);
         }
         let arguments = self.arguments;
+        self.begin_step(2, None);
         say(&format!("2/{NUM_STEPS}  measuring the speed of training on this machine"))?;
         let backend = arguments.backend.open(BackendName::Auto)?;
         let left = arguments.time.map(|time| time.saturating_sub(self.elapsed()));
@@ -197,6 +213,7 @@ impl Making<'_> {
         }
         words.push("--resume".into());
         words.extend(self.arguments.backend.words());
+        self.begin_step(2, Some(plan.after_training()));
         self.step(2, "train", words)
     }
 
@@ -219,6 +236,7 @@ impl Making<'_> {
         if self.record.has_begun("compress") || arguments.job.force {
             words.push("--force".into());
         }
+        self.begin_step(3, Some(Duration::ZERO));
         self.step(3, "compress", words)
     }
 
@@ -234,6 +252,7 @@ impl Making<'_> {
     }
 
     fn show(&mut self, plan: &Plan) -> anyhow::Result<()> {
+        self.begin_step(4, Some(Duration::ZERO));
         say(&format!("4/{NUM_STEPS}  measuring, and the page of results"))?;
         let file = self.folder.join("report.html");
         let results =
