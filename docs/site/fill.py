@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Writes the page: index.html with the numbers of scenes.json and the sizes of what a visitor loads.
 
-    docs/site/fill.py OUT        OUT holds the player already, in OUT/player
+    docs/site/fill.py OUT        OUT holds the player already, in OUT/player, and OUT/SCENE.html
 """
 
 import gzip
@@ -92,6 +92,7 @@ def main():
     }
     for name, scene in scenes.items():
         values[f"{name}_line"] = f"{scene['timesteps']} frames, {size(scene['tcgs_bytes'])}"
+        values[f"{name}_single"] = size((out / f"{name}.html").stat().st_size)
         values[f"{name}_load"] = size(player + scene["tcgs_bytes"])
     page = Template((HERE / "index.html").read_text()).substitute(values)
     (out / "index.html").write_text(page)

@@ -10,13 +10,14 @@ let player = null;
 /** The scene that is chosen; null: a visitor's file. */
 let scene = "toss";
 
-/** Whether this browser draws scenes. Asking takes no download. */
+/** Whether this browser draws scenes, by WebGPU or by WebGL2. Asking takes no download. */
 async function draws() {
-  try {
-    return Boolean(await navigator.gpu?.requestAdapter());
-  } catch {
-    return false;
-  }
+  const adapter = await navigator.gpu?.requestAdapter().catch(() => null);
+  if (adapter) return true;
+  const context = document.createElement("canvas").getContext("webgl2");
+  // Browsers keep few contexts.
+  context?.getExtension("WEBGL_lose_context")?.loseContext();
+  return context !== null;
 }
 
 /** Says what is on the stage. @param {string | null} name of the scene */
@@ -24,6 +25,11 @@ function tell(name) {
   scene = name;
   for (const choice of choices) choice.setAttribute("aria-pressed", String(choice.dataset.scene === name));
   for (const text of document.querySelectorAll("[data-of]")) text.hidden = text.dataset.of !== (name ?? "own");
+  element("take").hidden = name === null;
+  if (name === null) return;
+  const source = encodeURIComponent(new URL(`scenes/${name}.tcgs`, location.href).href);
+  const player = new URL("player/index.html", location.href).href;
+  element("embed").textContent = `<iframe src="${player}?src=${source}&controls=0" allow="fullscreen; xr-spatial-tracking"></iframe>`;
 }
 
 /** Puts the player on the stage, with a scene's address or a file. @param {string | File} source */
@@ -120,6 +126,7 @@ element("turn").hidden = element("pause").hidden = false;
 element("pause").classList.add("stopped");
 element("pause").setAttribute("aria-label", "Play the film");
 if (!still) run(true);
+tell(scene);
 draws().then((can) => can || showFilm(scene));
 
 // Tabs: without this script all panels show, one below the other.

@@ -90,7 +90,11 @@ async function open(t, { script, standIn = false, ...options } = {}) {
   return page;
 }
 
-const without = () => Object.defineProperty(Navigator.prototype, "gpu", { get: () => undefined });
+const withoutWebgpu = () => Object.defineProperty(Navigator.prototype, "gpu", { get: () => undefined });
+const without = () => {
+  Object.defineProperty(Navigator.prototype, "gpu", { get: () => undefined });
+  HTMLCanvasElement.prototype.getContext = () => null;
+};
 const pressed = (page) => page.$$eval("[aria-pressed=true]", (all) => all.map((button) => button.dataset.scene));
 const inPlayer = (page) => page.frames().find((frame) => frame.url().includes("/player/"));
 
@@ -257,10 +261,33 @@ test("a file that is dropped plays, and one that is no scene is refused", async 
   assert.equal(await player.textContent("#failure-title"), "This is not a .tcgs scene");
 });
 
-test("without WebGPU a sentence says so, and films take the player's place", async (t) => {
+test("without WebGPU a scene plays by WebGL2", async (t) => {
+  const page = await open(t, { ...SMALL, script: withoutWebgpu });
+  await page.click("[data-scene=demo]");
+  const player = await playing(page);
+  await player.waitForSelector("#play[aria-label=Pause]");
+  const loaded = await player.evaluate(() => performance.getEntriesByType("resource").map(({ name }) => name));
+  assert.ok(loaded.some((name) => name.includes("/engine-webgl2/")), loaded.join(" "));
+});
+
+test("each scene can be taken along: as one file, and as an element of another page", async (t) => {
+  const page = await open(t);
+  for (const name of ["kitchen", "toss"]) {
+    await page.click(`[data-scene=${name}]`);
+    const address = new URL(await page.locator(`[data-of=${name}] a`).getAttribute("href"), page.url());
+    const file = await (await page.request.get(address.href)).text();
+    assert.ok(file.includes("<!doctype html>") && file.length > 1_000_000, `${name}: ${file.length} bytes`);
+    const code = await page.textContent("#embed");
+    const source = new URL(/^<iframe src="([^"]+)"/.exec(code)[1]);
+    assert.ok((await page.request.get(source.href)).ok(), code);
+    assert.ok((await page.request.get(source.searchParams.get("src"))).ok(), code);
+  }
+});
+
+test("without WebGPU and WebGL2 a sentence says so, and films take the player's place", async (t) => {
   const page = await open(t, { script: without, reducedMotion: "no-preference" });
   await page.waitForSelector("#note:not([hidden])");
-  assert.match(await page.textContent("#note"), /WebGPU: Chrome, Edge and Safari 26.*This is a film/s);
+  assert.match(await page.textContent("#note"), /takes WebGPU or WebGL2.*This is a film/s);
   assert.ok(!(await page.isVisible("#turn")));
   await page.click("[data-scene=kitchen]");
   await page.waitForFunction(() => document.querySelector("#film").currentSrc.includes("kitchen") && document.querySelector("#film").currentTime > 0);
