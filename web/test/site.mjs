@@ -276,7 +276,7 @@ test("each scene can be taken along: as one file, and as an element of another p
     await page.click(`[data-scene=${name}]`);
     const address = new URL(await page.locator(`[data-of=${name}] a`).getAttribute("href"), page.url());
     const file = await (await page.request.get(address.href)).text();
-    assert.ok(file.includes("<!doctype html>") && file.length > 1_000_000, `${name}: ${file.length} bytes`);
+    assert.ok(file.includes("<!doctype html>") && file.length > 500_000, `${name}: ${file.length} bytes`);
     const code = await page.textContent("#embed");
     const source = new URL(/^<iframe src="([^"]+)"/.exec(code)[1]);
     assert.ok((await page.request.get(source.href)).ok(), code);
