@@ -5,6 +5,7 @@
 use tcgs_core::{Gaussians, Pinhole, View, distance};
 
 use super::densify::{DensifyStep, densify, remove_others, reset_opacities};
+use super::free_space::FreeSpace;
 use super::removal::{Needed, Removal, TimestepViews, needed};
 use crate::config::TrainConfig;
 use crate::mask::{mask, masked_out};
@@ -45,12 +46,15 @@ pub(super) struct FirstTimestep {
     config: TrainConfig,
     schedule: Schedule,
     scene_radius: f32,
+    /// Where no Gaussian belongs.
+    pub free_space: FreeSpace,
 }
 
 impl FirstTimestep {
     /// - `scene_radius`: scene units, to which scales are compared
     pub fn new(config: &TrainConfig, scene_radius: f32) -> Self {
-        Self { config: config.clone(), schedule: Schedule::new(config, scene_radius), scene_radius }
+        let schedule = Schedule::new(config, scene_radius);
+        Self { config: config.clone(), schedule, scene_radius, free_space: FreeSpace::default() }
     }
 
     /// Asks for a statistic of gradients until the last densification. Gaussians do not move in an iteration before a
@@ -116,10 +120,21 @@ impl FirstTimestep {
             remove_others(state, &rows);
         }
         if self.bounds_scales(iteration) || self.prunes_unneeded(iteration) {
+            self.clear_space(state);
             bound_scales(&mut state.parameters.gaussians, views);
         }
         // Identities matter only once the first timestep is finished.
         state.number_anew();
+    }
+
+    /// Removes trained Gaussians that stand where none belongs, unless that would remove all.
+    fn clear_space(&self, state: &mut State) {
+        let num_trained = state.num_trained();
+        let is_held = self.free_space.holds(state.parameters.gaussians.means());
+        let keep: Vec<usize> = (0..is_held.len()).filter(|&i| i >= num_trained || !is_held[i]).collect();
+        if !keep.is_empty() && keep.len() < is_held.len() {
+            remove_others(state, &keep);
+        }
     }
 
     /// Whether gradients count for densification: until the last one.

@@ -1,7 +1,8 @@
 //! The population: adds and removes Gaussians, from the initial points to the last death.
 //!
 //! - **First timestep** (`first_timestep`): clones, splits and removes Gaussians by gradient and opacity (`densify`).
-//!   Prunes Gaussians that masks hide, and Gaussians that the images hardly need, by a measured error (`removal`).
+//!   Prunes Gaussians that masks hide, Gaussians close to cameras (`free_space`), and Gaussians that the images hardly
+//!   need, by a measured error (`removal`).
 //! - **Births** (`births`): a later timestep adds Gaussians where the scene does not explain the images (`seeds`).
 //! - **Youth** (`youth`): a Gaussian goes on learning all its attributes for some timesteps after its birth.
 //! - **Deaths** (`deaths`): a later timestep removes Gaussians that no camera has seen for long.
@@ -16,6 +17,7 @@ mod births;
 mod deaths;
 mod densify;
 mod first_timestep;
+mod free_space;
 mod nursery;
 mod removal;
 mod seeds;
@@ -34,6 +36,7 @@ pub use self::densify::{Densified, DensifyStep, densify, remove_others, reset_op
 use self::first_timestep::FirstTimestep;
 #[cfg(test)]
 pub(crate) use self::first_timestep::{DENSIFY_END, MASK_PRUNE_INTERVAL};
+use self::free_space::FreeSpace;
 pub use self::removal::{Needed, Removal, TimestepViews, judge_stride, needed};
 pub use self::unseen::are_in_images;
 use self::unseen::unseen_last;
@@ -83,6 +86,14 @@ impl Population {
     pub fn closed(config: &TrainConfig, scene_radius: f32) -> Self {
         let deaths = Deaths::new(&DeathConfig::OFF, &config.mask, Vec::new());
         Self { births: None, deaths, ..Self::new(config, scene_radius, Vec::new()) }
+    }
+
+    /// Keeps Gaussians of the first timestep out of the space around the cameras, where Gaussians are removed by a
+    /// measured error.
+    ///
+    /// - `points`: the initial points, `[P, 3]`, at least one
+    pub fn keep_clear(&mut self, cameras: &[Camera], points: &[[f32; 3]]) {
+        self.first.free_space = FreeSpace::around(cameras, points);
     }
 
     /// `[N]` timestep since which no camera has seen a Gaussian: part of a checkpoint.

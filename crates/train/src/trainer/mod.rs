@@ -100,7 +100,9 @@ impl Trainer {
         let mut parameters = Parameters::from_cloud(&cloud, cameras.len(), config.mask.initial_logit);
         let layout = Layout::with_harmonics(config.color.degree).antialiased(config.render.antialiased);
         parameters.gaussians = std::mem::take(&mut parameters.gaussians).extended(&layout);
-        Self::begun(config, parameters, num_unseen, cameras, make)
+        let mut trainer = Self::begun(config, parameters, num_unseen, cameras, make)?;
+        trainer.population.keep_clear(cameras, &cloud.points);
+        Ok(trainer)
     }
 
     /// Starts a run from existing Gaussians, of any layout.
