@@ -6,7 +6,8 @@
 //! trained by the images of all timesteps. Which keypoints there are, their quantizers and bits stay.
 //!
 //! One gain for red, green and blue at each timestep is trained with them, for the whole scene. If all cameras record a
-//! timestep darker, these gains show it, and no Gaussian needs another colour.
+//! timestep darker, these gains show it, and no Gaussian needs another colour. The cameras' own gains and offsets, which
+//! training began to learn, are trained as well if the cameras differ. No file holds them.
 
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
@@ -25,8 +26,11 @@ use crate::schedule::cosine;
 const BETA2: f32 = 0.99;
 /// Updates after which a moment has no bias left, to a float's precision.
 const NUM_CORRECTIONS: usize = 2048;
-/// Learning rate of the light's gains, in their logarithms.
+/// Learning rate of gains, in their logarithms, and of offsets.
 const LIGHT_RATE: f32 = 2e-3;
+/// Least standard deviation over the cameras of how bright a grey of 0.5 becomes, so that gains and offsets are trained: one
+/// level of 255. Smaller differences are noise of the training, and would become more.
+const DIFFERENT: f32 = 1.0 / 255.0;
 /// Gaussians whose tracks one task updates.
 const CHUNK: usize = 1 << 11;
 
@@ -48,10 +52,10 @@ impl Default for RefineConfig {
     }
 }
 
-/// What is known of one code, or of one gain of the light, between two iterations.
+/// Adam's state of one code, of one gain of the light, or of one gain or offset of a camera.
 #[derive(Clone, Copy, Debug, Default)]
 struct Latent {
-    /// The code before rounding, in steps of the quantizer; the logarithm of the gain.
+    /// The code before rounding, in steps of the quantizer; the logarithm of the gain; the offset.
     value: f32,
     /// Moments of the gradient.
     first: f32,
@@ -71,20 +75,30 @@ pub struct Refiner {
     mean_second: Vec<f32>,
     /// `[T, 3]` logarithms of gains by which the picture of a timestep is multiplied.
     light: Vec<[Latent; 3]>,
+    /// `[cameras, 2, 3]` logarithms of gains, and offsets, as for [`image_loss`].
+    cameras: Vec<[[Latent; 3]; 2]>,
+    /// Whether gains and offsets of the cameras are trained.
+    cameras_differ: bool,
     /// By the number of updates less 1: what corrects the bias of both moments.
     corrections: Vec<[f32; 2]>,
 }
 
 impl Refiner {
     /// A refinement that starts from the scene as it is.
-    pub fn new(mut scene: CompactScene, config: RefineConfig) -> Self {
-        let latent = |&code: &i16| Latent { value: f32::from(code), ..Latent::default() };
-        let of_tracks = |tracks: &mut Tracks<i16>| tracks.parts_mut().2.iter().map(latent).collect();
+    ///
+    /// - `cameras`: `[cameras]` gain and offset of each, as for [`image_loss`]; they are trained if the cameras differ
+    pub fn new(mut scene: CompactScene, cameras: &[[[f32; 3]; 2]], config: RefineConfig) -> Self {
+        let latent = |value: f32| Latent { value, ..Latent::default() };
+        let of_code = |&code: &i16| latent(f32::from(code));
+        let of_tracks = |tracks: &mut Tracks<i16>| tracks.parts_mut().2.iter().map(of_code).collect();
         let latents: Vec<Vec<Latent>> = scene.tracks.iter_mut().map(of_tracks).collect();
         let correction = |count: i32| [BETA1, BETA2].map(|beta| 1.0 / (1.0 - beta.powi(count)));
         let corrections = (1..=NUM_CORRECTIONS as i32).map(correction).collect();
         let light = vec![[Latent::default(); 3]; scene.num_timesteps()];
-        Self { mean_second: vec![0.0; latents.len()], light, corrections, latents, scene, config }
+        let cameras_differ = differ(cameras);
+        let cameras = cameras.iter().map(|camera| camera.map(|values| values.map(latent))).collect();
+        let mean_second = vec![0.0; latents.len()];
+        Self { scene, config, latents, mean_second, light, cameras, cameras_differ, corrections }
     }
 
     /// The gains trained so far, which [`Self::into_scene`] does not apply.
@@ -101,7 +115,7 @@ impl Refiner {
     /// One iteration on one view.
     ///
     /// - `timestep`: of the scene, which the view shows
-    /// - `gain`, `offset`: the camera's, as for [`image_loss`]
+    /// - `camera`: position of the view's camera among the cameras
     /// - `progress`: share of the refinement that is done, 0 to 1
     /// - returns: the loss before the iteration
     ///
@@ -111,11 +125,12 @@ impl Refiner {
         &mut self,
         rasterizer: &R,
         timestep: usize,
+        camera: usize,
         view: &View,
-        [gain, offset]: [[f32; 3]; 2],
         progress: f32,
     ) -> Result<f64, R::Error> {
         let light = &mut self.light[timestep];
+        let [gain, offset] = self.cameras[camera].map(|values| values.map(|latent| latent.value));
         let gain = std::array::from_fn(|channel| gain[channel] + light[channel].value);
         let (loss, grads) = gradients(rasterizer, &self.scene, timestep, &view.camera, &view.image, [gain, offset])?;
         let decay = cosine(self.config.decay, progress);
@@ -123,6 +138,9 @@ impl Refiner {
             light.update(v_gain, LIGHT_RATE * decay, f32::MIN_POSITIVE, &self.corrections);
         }
         self.center_light();
+        if self.cameras_differ {
+            self.update_camera(camera, [loss.v_gain, loss.v_offset], LIGHT_RATE * decay);
+        }
         let rate = self.config.rate * decay;
         for attribute in grads.layout().attributes() {
             self.update(attribute, timestep, grads.values(attribute), rate);
@@ -136,6 +154,20 @@ impl Refiner {
             let sum: f32 = self.light.iter().map(|gains| gains[channel].value).sum();
             let mean = sum / self.light.len() as f32;
             self.light.iter_mut().for_each(|gains| gains[channel].value -= mean);
+        }
+    }
+
+    /// One step of Adam for a camera. The means over all cameras stay: colours alone have what all cameras share.
+    fn update_camera(&mut self, camera: usize, v_values: [[f32; 3]; 2], rate: f32) {
+        let num_cameras = self.cameras.len() as f32;
+        for (kind, v_values) in v_values.iter().enumerate() {
+            for (channel, &v) in v_values.iter().enumerate() {
+                let latent = &mut self.cameras[camera][kind][channel];
+                let before = latent.value;
+                latent.update(v, rate, f32::MIN_POSITIVE, &self.corrections);
+                let shift = (latent.value - before) / num_cameras;
+                self.cameras.iter_mut().for_each(|camera| camera[kind][channel].value -= shift);
+            }
         }
     }
 
@@ -183,6 +215,17 @@ impl Refiner {
         let sum = sums.iter().fold((0.0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
         self.mean_second[index] = (sum.0 / sum.1.max(1) as f64) as f32;
     }
+}
+
+/// Whether cameras of these gains and offsets see the scene at different brightness, in any channel.
+fn differ(cameras: &[[[f32; 3]; 2]]) -> bool {
+    let count = cameras.len() as f32;
+    (0..3).any(|channel| {
+        let brightness = cameras.iter().map(|[gain, offset]| 0.5 * gain[channel].exp() + offset[channel]);
+        let mean = brightness.clone().sum::<f32>() / count;
+        let variance = brightness.map(|value| (value - mean).powi(2)).sum::<f32>() / count;
+        variance.sqrt() > DIFFERENT
+    })
 }
 
 impl Latent {
@@ -368,8 +411,8 @@ mod tests {
         };
         let view = View { camera: camera(), image: image.clone(), segmentation: None, frame: 0, camera_id: 0 };
         let config = RefineConfig { rate: 0.0, ..RefineConfig::default() };
-        let mut refiner = Refiner::new(scene.clone(), config);
-        let Ok(_) = refiner.step(&CpuRasterizer, timestep, &view, correction, 0.0);
+        let mut refiner = Refiner::new(scene.clone(), &[correction], config);
+        let Ok(_) = refiner.step(&CpuRasterizer, timestep, 0, &view, 0.0);
         let (mut num_shared, mut num_compared) = (0, 0);
         for attribute in scene.layout.attributes() {
             let components = attribute.components();
@@ -446,11 +489,11 @@ mod tests {
         let refined = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| {
-                let mut refiner = Refiner::new(off.clone(), RefineConfig::default());
+                let mut refiner = Refiner::new(off.clone(), &[[[0.0; 3]; 2]; 3], RefineConfig::default());
                 let order = refine_order(1, NUM_TIMESTEPS, 3, None).take(400).enumerate();
                 for (i, (t, views)) in order {
                     for of in views {
-                        let step = refiner.step(&CpuRasterizer, t, &view(t, of), [[0.0; 3]; 2], i as f32 / 400.0);
+                        let step = refiner.step(&CpuRasterizer, t, of, &view(t, of), i as f32 / 400.0);
                         let Ok(_) = step;
                     }
                 }
@@ -479,10 +522,11 @@ mod tests {
             View { camera: camera(), image: output.image, segmentation: None, frame: t, camera_id: 0 }
         };
         let views: Vec<View> = (0..NUM_TIMESTEPS).map(view).collect();
-        let mut refiner = Refiner::new(scene.clone(), RefineConfig { rate: 0.0, ..RefineConfig::default() });
+        let still = RefineConfig { rate: 0.0, ..RefineConfig::default() };
+        let mut refiner = Refiner::new(scene.clone(), &[[[0.0; 3]; 2]], still);
         let count = 60 * NUM_TIMESTEPS;
         for (i, t) in (0..NUM_TIMESTEPS).cycle().take(count).enumerate() {
-            let Ok(_) = refiner.step(&CpuRasterizer, t, &views[t], [[0.0; 3]; 2], i as f32 / count as f32);
+            let Ok(_) = refiner.step(&CpuRasterizer, t, 0, &views[t], i as f32 / count as f32);
         }
         let light = refiner.light();
         for t in 0..NUM_TIMESTEPS {
@@ -490,6 +534,37 @@ mod tests {
             assert!((0..3).all(|c| (found[c] - expected[c]).abs() < 0.005), "{t}: {found:?} for {expected:?}");
         }
         assert_eq!(refiner.into_scene(), scene);
+    }
+
+    #[test]
+    fn what_a_camera_has_brighter_than_others_becomes_its_gain() {
+        let scene = compact(20, 12);
+        let view = |bright: f32| {
+            let lit = scene.at(0).lit([bright.exp(); 3]);
+            let drawn = Activated { colors: seen_colors(&lit, &camera()), ..activate(&lit) };
+            let Ok((output, _)) = CpuRasterizer.forward(&drawn, &camera(), &RenderSettings::default());
+            View { camera: camera(), image: output.image, segmentation: None, frame: 0, camera_id: 0 }
+        };
+        let brightness = [0.05, -0.05];
+        let views = brightness.map(view);
+        let still = RefineConfig { rate: 0.0, ..RefineConfig::default() };
+        let learned = |begin: f32| {
+            let mut refiner = Refiner::new(scene.clone(), &[begin, -begin].map(|gain| [[gain; 3], [0.0; 3]]), still);
+            for i in 0..600 {
+                let Ok(_) = refiner.step(&CpuRasterizer, 0, i % 2, &views[i % 2], i as f32 / 600.0);
+            }
+            let gains = [0, 1].map(|camera| refiner.cameras[camera][0].map(|gain| gain.value));
+            assert_eq!(refiner.into_scene(), scene);
+            gains
+        };
+        let gains = learned(0.01);
+        for channel in 0..3 {
+            for (found, expected) in gains.iter().zip(brightness) {
+                assert!((found[channel] - expected).abs() < 0.02, "{gains:?}");
+            }
+            assert!((gains[0][channel] + gains[1][channel]).abs() < 1e-4, "their mean stays: {gains:?}");
+        }
+        assert_eq!(learned(0.001), [[0.001; 3], [-0.001; 3]], "too alike to be told apart");
     }
 
     #[test]

@@ -129,7 +129,7 @@ pub fn refine(
     let Chosen { quality, pruned, settings } = images.choose(pruned, settings, allowance, observer)?;
     let (mut iterations, mut losses) = (0, [0.0; 2]);
     let mut change = |compact: CompactScene| {
-        let refiner = Refiner::new(compact, options.config);
+        let refiner = Refiner::new(compact, &images.corrections, options.config);
         let refined = match backend {
             Backend::Cpu => images.refine(&CpuRasterizer, refiner, num_iterations, observer),
             #[cfg(feature = "gpu")]
@@ -357,7 +357,7 @@ impl<'a> Images<'a> {
         let Some((compact, _)) = pruned.symbols(settings)? else { return Ok(1) };
         let begin = Instant::now();
         let enough = budget.mul_f64(TIMED_SHARE);
-        let mut timed = Refiner::new(compact, options.config);
+        let mut timed = Refiner::new(compact, &self.corrections, options.config);
         let mut go_on = |_| Ok(begin.elapsed() < enough);
         let done = match backend {
             Backend::Cpu => self.iterate(&CpuRasterizer, &mut timed, usize::MAX, &mut go_on),
@@ -426,7 +426,7 @@ impl<'a> Images<'a> {
                         return Ok(losses);
                     }
                     let progress = losses.len() as f32 / num_iterations as f32;
-                    let loss = refiner.step(rasterizer, timestep, &view, self.corrections[camera], progress);
+                    let loss = refiner.step(rasterizer, timestep, camera, &view, progress);
                     let loss = loss.map_err(GpuError::from)?;
                     losses.push(loss);
                     if !go_on(view.frame)? {

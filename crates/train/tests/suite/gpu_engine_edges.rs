@@ -405,12 +405,12 @@ fn refinement_on_the_gpu_follows_the_cpu() {
         .map(|t| View { camera: t.camera, image: t.image, segmentation: None, frame: 0, camera_id: 0 })
         .collect();
     fn refined<R: Rasterizer>(rasterizer: &R, mut refiner: Refiner, views: &[View]) -> (Vec<f64>, Vec<Vec<f32>>) {
-        let step = |i: usize| refiner.step(rasterizer, i % 5, &views[i % 2], [[0.1; 3], [0.0; 3]], i as f32 / 20.0);
+        let step = |i: usize| refiner.step(rasterizer, i % 5, i % 2, &views[i % 2], i as f32 / 20.0);
         let losses = (0..20).map(step).collect::<Result<_, _>>().unwrap();
         let last = refiner.into_scene().at(2);
         (losses, Attribute::BASE.iter().map(|&attribute| last.values(attribute).to_vec()).collect())
     }
-    let refiner = Refiner::new(compact, RefineConfig::default());
+    let refiner = Refiner::new(compact, &[[[0.1; 3], [0.0; 3]]; 2], RefineConfig::default());
     let (expected_losses, expected) = refined(&CpuRasterizer, refiner.clone(), &views);
     let (losses, found) = refined(&GpuRasterizer::new(&gpu), refiner, &views);
     for (found, expected) in losses.iter().zip(&expected_losses) {
