@@ -56,7 +56,7 @@ impl JobStep {
         }
     }
 
-    /// What stands behind the time that the present task still takes.
+    /// The time that the whole job still takes, in words, as a suffix.
     fn words(self, left: Option<Duration>) -> String {
         self.time_left(left).map_or(String::new(), |left| format!(" ({} for everything)", show_time(left)))
     }

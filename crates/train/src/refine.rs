@@ -6,8 +6,8 @@
 //! trained by the images of all timesteps. Which keypoints there are, their quantizers and bits stay.
 //!
 //! One gain for red, green and blue at each timestep is trained with them, for the whole scene. If all cameras record a
-//! timestep darker, these gains show it, and no Gaussian needs another colour. The cameras' own gains and offsets, which
-//! training began to learn, are trained as well if the cameras differ. No file holds them.
+//! timestep darker, these gains show it, and no Gaussian needs another colour. The gains and offsets of the cameras, which
+//! training has learned, are trained on if the cameras differ. No file holds them.
 
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
@@ -28,8 +28,8 @@ const BETA2: f32 = 0.99;
 const NUM_CORRECTIONS: usize = 2048;
 /// Learning rate of gains, in their logarithms, and of offsets.
 const LIGHT_RATE: f32 = 2e-3;
-/// Least standard deviation over the cameras of how bright a grey of 0.5 becomes, so that gains and offsets are trained: one
-/// level of 255. Smaller differences are noise of the training, and would become more.
+/// Cameras differ if the brightness that they give a grey of 0.5 has at least this standard deviation: one level of 255.
+/// Smaller differences are noise of the training. Learning them on would increase them.
 const DIFFERENT: f32 = 1.0 / 255.0;
 /// Gaussians whose tracks one task updates.
 const CHUNK: usize = 1 << 11;
@@ -41,8 +41,8 @@ pub struct RefineConfig {
     pub rate: f32,
     /// Share of the rate that is left at the end, reached along a cosine. Default 0.002: a rate that stays makes codes jump to and fro between neighbouring values.
     pub decay: f32,
-    /// What is added to the root of a keypoint's second moment, as a share of the root mean square over its attribute. It
-    /// leaves codes in place that hardly change an image: their gradients are mostly noise, and every move costs bits. Default 0.5.
+    /// Adam's ε, relative to the root mean second moment of the attribute. It keeps codes still whose gradients are mostly
+    /// noise, since each move costs bits. Default 0.5.
     pub damping: f32,
 }
 

@@ -46,7 +46,7 @@ pub(super) struct FirstTimestep {
     config: TrainConfig,
     schedule: Schedule,
     scene_radius: f32,
-    /// Where no Gaussian belongs.
+    /// The space around the training cameras.
     pub free_space: FreeSpace,
 }
 
@@ -127,7 +127,7 @@ impl FirstTimestep {
         state.number_anew();
     }
 
-    /// Removes trained Gaussians that stand where none belongs, unless that would remove all.
+    /// Removes trained Gaussians in the space around cameras. If all stand there, all stay.
     fn clear_space(&self, state: &mut State) {
         let num_trained = state.num_trained();
         let is_held = self.free_space.holds(state.parameters.gaussians.means());
