@@ -51,7 +51,8 @@ impl JobStep {
     fn time_left(self, left: Option<Duration>) -> Option<Duration> {
         match self.end {
             JobEnd::Unknown => None,
-            JobEnd::At(end) => Some(end.saturating_duration_since(Instant::now())),
+            // A task may take longer than the job has left.
+            JobEnd::At(end) => Some(end.saturating_duration_since(Instant::now()).max(left.unwrap_or_default())),
             JobEnd::After(rest) => Some(left? + rest),
         }
     }
@@ -162,5 +163,6 @@ mod tests {
         assert_eq!((words(after, Some(60)).as_str(), words(after, None).as_str()), (" (2 min for everything)", ""));
         assert_eq!(words(JobEnd::Unknown, Some(60)), "");
         assert_eq!(words(JobEnd::At(Instant::now()), None), " (0 s for everything)");
+        assert_eq!(words(JobEnd::At(Instant::now()), Some(60)), " (60 s for everything)");
     }
 }
