@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Builds the page that shows tcgs: static files in docs/site/dist, or in a folder that is named and does not exist. Takes the
-# player from web/dist, and builds it first if it is not there. TCGS=FILE names the program; without it cargo builds it. Scenes and pictures are committed; scenes.py makes them, and
-# with them the README's first picture.
+# player from web/dist, and builds it first if it is not there. TCGS=FILE names the program; without it cargo builds it.
+# Scenes and pictures are committed; scenes.py makes them, and with them the README's first picture.
 set -euo pipefail
 out=$(realpath -m "${1:-$(dirname "${BASH_SOURCE[0]}")/dist}")
 cd "$(dirname "${BASH_SOURCE[0]}")"

@@ -29,7 +29,8 @@ function tell(name) {
   if (name === null) return;
   const source = encodeURIComponent(new URL(`scenes/${name}.tcgs`, location.href).href);
   const player = new URL("player/index.html", location.href).href;
-  element("embed").textContent = `<iframe src="${player}?src=${source}&controls=0" allow="fullscreen; xr-spatial-tracking"></iframe>`;
+  const address = `${player}?src=${source}&controls=0`;
+  element("embed").textContent = `<iframe src="${address}" allow="fullscreen; xr-spatial-tracking"></iframe>`;
 }
 
 /** Puts the player on the stage, with a scene's address or a file. @param {string | File} source */

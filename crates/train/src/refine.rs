@@ -1,13 +1,13 @@
 //! Refinement of what a file stores: the codes of a compressed scene are trained through the renderer.
 //!
 //! A timestep is drawn as a decoder reconstructs it: codes are rounded and dequantised, tracks interpolated between their
-//! keypoints. The gradient of the image then goes back to the keypoints before and after the timestep, each by its share,
-//! and to the codes as if rounding were the identity (straight-through, as in training). A keypoint that never moves is
-//! trained by the images of all timesteps. Which keypoints there are, their quantizers and bits stay.
+//! keypoints. The gradient of the image goes back to the keypoints before and after the timestep, each by its share. For
+//! codes, rounding counts as the identity (straight-through, as in training). A keypoint that never moves is trained by the
+//! images of all timesteps. Keypoints, quantizers and bits stay.
 //!
 //! One gain for red, green and blue at each timestep is trained with them, for the whole scene. If all cameras record a
-//! timestep darker, these gains show it, and no Gaussian needs another colour. The gains and offsets of the cameras, which
-//! training has learned, are trained on if the cameras differ. No file holds them.
+//! timestep darker, these gains show it, and no Gaussian needs another colour. Training has learned a gain and an offset
+//! of each camera. They are trained on if the cameras differ; no file holds them.
 
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
@@ -27,9 +27,9 @@ const BETA2: f32 = 0.99;
 /// Updates after which a moment has no bias left, to a float's precision.
 const NUM_CORRECTIONS: usize = 2048;
 /// Learning rate of gains, in their logarithms, and of offsets.
-const LIGHT_RATE: f32 = 2e-3;
-/// Cameras differ if the brightness that they give a grey of 0.5 has at least this standard deviation: one level of 255.
-/// Smaller differences are noise of the training. Learning them on would increase them.
+const GAIN_RATE: f32 = 2e-3;
+/// Standard deviation, over the cameras, of the brightness of a grey of 0.5, above which cameras differ: one level of
+/// 255. Smaller differences are noise of the training, which more training would increase.
 const DIFFERENT: f32 = 1.0 / 255.0;
 /// Gaussians whose tracks one task updates.
 const CHUNK: usize = 1 << 11;
@@ -41,8 +41,8 @@ pub struct RefineConfig {
     pub rate: f32,
     /// Share of the rate that is left at the end, reached along a cosine. Default 0.002: a rate that stays makes codes jump to and fro between neighbouring values.
     pub decay: f32,
-    /// Adam's ε, relative to the root mean second moment of the attribute. It keeps codes still whose gradients are mostly
-    /// noise, since each move costs bits. Default 0.5.
+    /// Adam's ε, relative to the root mean second moment of the attribute. It keeps codes still whose gradients are
+    /// mostly noise, since each move costs bits. Default 0.5.
     pub damping: f32,
 }
 
@@ -135,11 +135,11 @@ impl Refiner {
         let (loss, grads) = gradients(rasterizer, &self.scene, timestep, &view.camera, &view.image, [gain, offset])?;
         let decay = cosine(self.config.decay, progress);
         for (light, v_gain) in light.iter_mut().zip(loss.v_gain) {
-            light.update(v_gain, LIGHT_RATE * decay, f32::MIN_POSITIVE, &self.corrections);
+            light.update(v_gain, GAIN_RATE * decay, f32::MIN_POSITIVE, &self.corrections);
         }
         self.center_light();
         if self.cameras_differ {
-            self.update_camera(camera, [loss.v_gain, loss.v_offset], LIGHT_RATE * decay);
+            self.update_camera(camera, [loss.v_gain, loss.v_offset], GAIN_RATE * decay);
         }
         let rate = self.config.rate * decay;
         for attribute in grads.layout().attributes() {
@@ -513,7 +513,7 @@ mod tests {
     #[test]
     fn what_all_images_of_a_timestep_have_darker_becomes_light() {
         let scene = compact(20, 12);
-        // Of mean 1, since colours, which are not trained here, would have the mean.
+        // Their mean is 1: colours would learn the mean, and are not trained here.
         let dark = |t: usize| [-0.006, 0.0, 0.004].map(|slope: f32| (slope * (t as f32 - 4.0)).exp());
         let view = |t: usize| {
             let lit = scene.at(t).lit(dark(t));

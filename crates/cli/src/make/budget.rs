@@ -28,7 +28,7 @@ const MIN_WIDTH: usize = 200;
 const TRIAL: [usize; 2] = [40, 20];
 /// Time of a training in proportion to that of the short one: Gaussians become more.
 const GROWTH: f64 = 1.4;
-/// Time of refinement and page in proportion to that of training.
+/// Time of refinement and page in proportion to that of training: 0.25 for 150 timesteps of 640x360, 0.7 for the demo.
 const AFTER_TRAINING: f64 = 0.4;
 /// Fewest and most iterations, in proportion to those of preset fast.
 const SHARES: [f64; 2] = [0.1, 2.5];
