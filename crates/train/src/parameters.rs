@@ -7,6 +7,10 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 use tcgs_core::{BaseColumns, Camera, Gaussians, Image, PointCloud, distance, squared_distance};
 
+/// Standard deviation, over the cameras, of the brightness of a grey of 0.5, above which cameras differ: one level of
+/// 255. Smaller differences are noise of the training, which more training would increase.
+const DIFFERENT: f32 = 1.0 / 255.0;
+
 /// All learned parameters at one timestep, in stored form.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Parameters {
@@ -139,6 +143,17 @@ pub(crate) fn nearest(points: &[[f32; 3]], count: usize) -> Vec<Vec<(u32, f32)>>
         .collect()
 }
 
+/// Whether cameras of these gains and offsets see the scene at different brightness, in any channel.
+pub(crate) fn cameras_differ(cameras: &[[[f32; 3]; 2]]) -> bool {
+    let count = cameras.len() as f32;
+    (0..3).any(|channel| {
+        let brightness = cameras.iter().map(|[gain, offset]| 0.5 * gain[channel].exp() + offset[channel]);
+        let mean = brightness.clone().sum::<f32>() / count;
+        let variance = brightness.map(|value| (value - mean).powi(2)).sum::<f32>() / count;
+        variance.sqrt() > DIFFERENT
+    })
+}
+
 /// A rendered picture in the colours of a camera.
 pub(crate) fn corrected(mut picture: Image, [gain, offset]: [[f32; 3]; 2]) -> Image {
     for channel in 0..3 {
@@ -205,5 +220,18 @@ mod tests {
         let expected = (9.0_f32 / 3.0).sqrt().ln(); // squared distances 1, 4, 4
         assert!((p.gaussians.log_scales()[0][1] - expected).abs() < 1e-6);
         assert_eq!((p.gaussians.logit_opacities()[0], p.mask_logits[0], p.camera_gains.len()), (0.0, 1.0, 2));
+    }
+
+    #[test]
+    fn cameras_differ_by_more_than_one_level_of_255() {
+        let camera = |gain: f32, offset: f32| [[0.0, gain.ln(), 0.0], [0.0, 0.0, offset]];
+        assert!(!cameras_differ(&[camera(1.0, 0.0), camera(1.0, 0.0)]));
+        // A grey of 0.5 is brighter by half of the gain.
+        assert!(!cameras_differ(&[camera(1.014, 0.0), camera(1.0, 0.0)]));
+        assert!(cameras_differ(&[camera(1.018, 0.0), camera(1.0, 0.0)]));
+        assert!(!cameras_differ(&[camera(1.0, 0.007), camera(1.0, 0.0)]));
+        assert!(cameras_differ(&[camera(1.0, 0.009), camera(1.0, 0.0)]));
+        // What all cameras share is no difference.
+        assert!(!cameras_differ(&[camera(1.5, 0.1), camera(1.5, 0.1)]));
     }
 }

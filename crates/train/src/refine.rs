@@ -19,6 +19,7 @@ use tcgs_render::{Rasterizer, RenderSettings};
 
 use crate::adam::BETA1;
 use crate::engine::cpu::{ImageLoss, image_loss};
+use crate::parameters::cameras_differ;
 use crate::schedule::cosine;
 
 /// Decay of the second moments: a keypoint is trained in a few of the timesteps only, so they settle faster than those of a
@@ -28,9 +29,6 @@ const BETA2: f32 = 0.99;
 const NUM_CORRECTIONS: usize = 2048;
 /// Learning rate of gains, in their logarithms, and of offsets.
 const GAIN_RATE: f32 = 2e-3;
-/// Standard deviation, over the cameras, of the brightness of a grey of 0.5, above which cameras differ: one level of
-/// 255. Smaller differences are noise of the training, which more training would increase.
-const DIFFERENT: f32 = 1.0 / 255.0;
 /// Gaussians whose tracks one task updates.
 const CHUNK: usize = 1 << 11;
 
@@ -95,7 +93,7 @@ impl Refiner {
         let correction = |count: i32| [BETA1, BETA2].map(|beta| 1.0 / (1.0 - beta.powi(count)));
         let corrections = (1..=NUM_CORRECTIONS as i32).map(correction).collect();
         let light = vec![[Latent::default(); 3]; scene.num_timesteps()];
-        let cameras_differ = differ(cameras);
+        let cameras_differ = cameras_differ(cameras);
         let cameras = cameras.iter().map(|camera| camera.map(|values| values.map(latent))).collect();
         let mean_second = vec![0.0; latents.len()];
         Self { scene, config, latents, mean_second, light, cameras, cameras_differ, corrections }
@@ -215,17 +213,6 @@ impl Refiner {
         let sum = sums.iter().fold((0.0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
         self.mean_second[index] = (sum.0 / sum.1.max(1) as f64) as f32;
     }
-}
-
-/// Whether cameras of these gains and offsets see the scene at different brightness, in any channel.
-fn differ(cameras: &[[[f32; 3]; 2]]) -> bool {
-    let count = cameras.len() as f32;
-    (0..3).any(|channel| {
-        let brightness = cameras.iter().map(|[gain, offset]| 0.5 * gain[channel].exp() + offset[channel]);
-        let mean = brightness.clone().sum::<f32>() / count;
-        let variance = brightness.map(|value| (value - mean).powi(2)).sum::<f32>() / count;
-        variance.sqrt() > DIFFERENT
-    })
 }
 
 impl Latent {

@@ -290,4 +290,39 @@ mod tests {
         let distance = (48.0_f32 * 48.0 + 16.0).sqrt();
         assert_eq!(state.parameters.gaussians.log_scales()[3], [-1.0, (largest_share(4) * distance).ln(), 2.0]);
     }
+    #[test]
+    fn the_space_around_cameras_is_cleared() {
+        let near = [2.0, 0.5, -3.0];
+        let gaussians = Gaussians::from(BaseColumns {
+            means: vec![[-1.0, 0.0, 0.0], near, [0.0, 0.0, 4.0], near],
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; 4],
+            log_scales: vec![[-2.0; 3]; 4],
+            logit_opacities: vec![2.0; 4],
+            colors: vec![[0.5; 3]; 4],
+        });
+        let views = [-2.0, 2.0].map(|x| {
+            let camera = Camera::look_at([x, 0.0, -4.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0], 60.0, 72, 54);
+            View { image: Image::filled(72, 54, 3, 0.5), camera, segmentation: None, frame: 0, camera_id: 0 }
+        });
+        let cameras = [views[0].camera.clone(), views[1].camera.clone()];
+        let mut state = State::new(Parameters {
+            gaussians,
+            mask_logits: vec![1.0; 4],
+            foreground: vec![true; 4],
+            camera_gains: vec![[0.0; 3]; 2],
+            camera_offsets: vec![[0.0; 3]; 2],
+        });
+        state.num_fixed = 1;
+        let mut rules = first_timestep(1500, Preset::Default);
+        rules.free_space = FreeSpace::around(&cameras, &[[0.0, 0.0, 2.0]]);
+        rules.reshape(&mut state, 950, 0, &views);
+        assert_eq!(state.parameters.num_gaussians(), 4, "no event");
+        rules.reshape(&mut state, 1000, 0, &views);
+        let means = [[-1.0, 0.0, 0.0], [0.0, 0.0, 4.0], near];
+        assert_eq!(state.parameters.gaussians.means(), means, "fixed ones stay");
+        rules.free_space = FreeSpace::around(&cameras, &[[0.0, 0.0, 40.0]]);
+        state.num_fixed = 0;
+        rules.reshape(&mut state, 1100, 0, &views);
+        assert_eq!(state.parameters.num_gaussians(), 3, "never all of them");
+    }
 }

@@ -18,8 +18,12 @@ use crate::config::TrainConfig;
 use crate::engine::{Engine, Step};
 use crate::gate::{Pace, Trained};
 use crate::losses::{LossTerms, WeightConfig};
+use crate::parameters::cameras_differ;
 use crate::schedule::{Phase, Schedule};
 use crate::state::State;
+
+/// Factor of the rate of the cameras' gains and offsets, if cameras differ in brightness.
+const DIFFERENT_CAMERAS: f32 = 10.0;
 
 /// The report of one iteration that [`Trainer::fit`](crate::Trainer::fit) gives to its observer.
 #[derive(Clone, Copy, Debug)]
@@ -55,6 +59,8 @@ pub(crate) struct Solver {
     pub trained: Trained,
     /// As in the engine's state, which may be on another device.
     num_gaussians: usize,
+    /// Whether gains and offsets learned by the last change of the Gaussians say that the cameras differ in brightness.
+    cameras_differ: bool,
     /// The channel through which other threads ask for the scene.
     pub glimpse: Option<Arc<Glimpse>>,
 }
@@ -107,7 +113,16 @@ impl Solver {
         timestep: usize,
     ) -> Self {
         let (config, schedule) = (config.clone(), Schedule::new(config, scene_radius));
-        Self { config, schedule, engine, timestep, trained: Trained::ALL, num_gaussians, glimpse: None }
+        Self {
+            config,
+            schedule,
+            engine,
+            timestep,
+            trained: Trained::ALL,
+            num_gaussians,
+            cameras_differ: false,
+            glimpse: None,
+        }
     }
 
     /// Number of Gaussians of the scene.
@@ -120,6 +135,7 @@ impl Solver {
         let state = self.engine.state_mut()?;
         change(state);
         self.num_gaussians = state.parameters.num_gaussians();
+        self.cameras_differ = cameras_differ(&state.parameters.corrections());
         Ok(())
     }
 
@@ -175,6 +191,9 @@ impl Solver {
         if iterations.part.is_some() {
             // Locked Gaussians share the quantizers.
             rates.step = 0.0;
+        }
+        if self.cameras_differ && rates.centers_cameras {
+            rates.camera *= DIFFERENT_CAMERAS;
         }
         let step = Step {
             camera,

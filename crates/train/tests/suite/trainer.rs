@@ -93,6 +93,28 @@ fn training_learns_the_scene_and_follows_it() {
 }
 
 #[test]
+fn exposures_are_learned_fast_if_they_differ() {
+    let mut views = views(0);
+    for channel in 0..3 {
+        views[0].image.plane_mut(channel).iter_mut().for_each(|value| *value *= 1.25);
+    }
+    // Brightness of a grey of 0.5 in the first camera, over that in the others.
+    let learned = |is_fast: bool| {
+        let mut config = config();
+        config.schedule.first_iterations = 400;
+        config.rates.camera_centered = is_fast;
+        let mut trainer = trainer(&config);
+        trainer.fit(&views, &mut |_| ControlFlow::Continue(())).unwrap();
+        let p = &trainer.state().unwrap().parameters;
+        let grey = |camera: usize| 0.5 * p.camera_gains[camera][1].exp() + p.camera_offsets[camera][1];
+        let others = (1..5).map(grey).sum::<f32>() / 4.0;
+        grey(0) / others
+    };
+    let (fast, reference) = (learned(true), learned(false));
+    assert!((fast - 1.25).abs() < 0.02 && reference < 1.22, "{fast}, {reference}");
+}
+
+#[test]
 fn a_capture_without_masks_trains_and_stays_finite() {
     let mut cloud = capture().point_cloud().unwrap();
     cloud.foreground.fill(true);
