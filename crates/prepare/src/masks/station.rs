@@ -1,6 +1,7 @@
 //! One camera that stands still: samples of its images over time, and the background behind everything that moves.
 
-use tcgs_core::{Camera, Pinhole};
+use rayon::prelude::*;
+use tcgs_core::{Camera, Pinhole, distance, upper_median};
 
 use super::{MARGIN_PX, outline};
 
@@ -9,6 +10,14 @@ pub(super) type Pixels = Vec<[u8; 3]>;
 
 /// Minimum number of samples of a pixel that show the background, for the background to be known.
 const MIN_SAMPLES: usize = 3;
+/// Half of the side of the square of pixels whose backgrounds a pixel's is likened to, as a share of the image's width.
+const SURROUNDINGS: f32 = 0.1;
+/// Number of pixels of a surrounding that are looked at, along each side.
+const NUM_ACROSS: usize = 16;
+/// Distance of two colours, in `[0, 1]`, below which they show the same thing.
+const SAME_COLOR: f32 = 0.06;
+/// The surroundings have the colour of a background so many times as often as any other colour of the pixel.
+const MIN_RATIO: f32 = 2.0;
 
 /// A static camera with its samples and background.
 pub(super) struct Station {
@@ -71,6 +80,50 @@ impl Station {
             }));
             found.known.push(known);
         }
+        let unknown: Vec<usize> = (0..width * height).filter(|&pixel| !found.known[pixel]).collect();
+        let likened: Vec<Option<[f32; 3]>> = unknown.par_iter().map(|&pixel| self.likened(&found, pixel)).collect();
+        for (pixel, color) in unknown.into_iter().zip(likened) {
+            if let Some(color) = color {
+                (found.colors[pixel], found.known[pixel]) = (color, true);
+            }
+        }
         self.background = found;
+    }
+
+    /// The background of a pixel before which something seems to stand in all samples: the colour of its samples that is
+    /// also the background around it. Where somebody stood for most of the time, and stepped aside, the median shows
+    /// this person, and samples without the person differ from it.
+    ///
+    /// - `found`: the background so far
+    /// - returns: `None` if the surroundings do not tell
+    fn likened(&self, found: &Background, pixel: usize) -> Option<[f32; 3]> {
+        let (width, height) = (self.pinhole.width, self.pinhole.height);
+        let reach = (SURROUNDINGS * width as f32).max(1.0);
+        let step = 2.0 * reach / NUM_ACROSS as f32;
+        let (x, y) = ((pixel % width) as f32, (pixel / width) as f32);
+        let mut around: Vec<[f32; 3]> = Vec::new();
+        for i in 0..NUM_ACROSS * NUM_ACROSS {
+            let offset = |k: usize| (k as f32 + 0.5) * step - reach;
+            let (x, y) = ((x + offset(i % NUM_ACROSS)).round(), (y + offset(i / NUM_ACROSS)).round());
+            if x >= 0.0 && y >= 0.0 && x < width as f32 && y < height as f32 {
+                let other = y as usize * width + x as usize;
+                if found.known[other] {
+                    around.push(found.colors[other]);
+                }
+            }
+        }
+        let colors: Vec<[f32; 3]> =
+            self.samples.iter().map(|sample| sample[pixel].map(|value| f32::from(value) / 255.0)).collect();
+        let is_same = |a: &[f32; 3], b: &[f32; 3]| distance(*a, *b) < SAME_COLOR;
+        let counts: Vec<f32> =
+            colors.iter().map(|color| around.iter().filter(|other| is_same(color, other)).count() as f32).collect();
+        let best = (0..colors.len()).max_by(|&a, &b| counts[a].total_cmp(&counts[b]))?;
+        let (same, others): (Vec<usize>, Vec<usize>) =
+            (0..colors.len()).partition(|&i| distance(colors[i], colors[best]) < 1.5 * SAME_COLOR);
+        let second = others.iter().map(|&i| counts[i]).fold(0.0, f32::max);
+        let is_sure = same.len() >= MIN_SAMPLES && !others.is_empty() && counts[best] >= MIN_RATIO * (second + 1.0);
+        is_sure.then(|| {
+            [0, 1, 2].map(|channel| upper_median(same.iter().map(|&i| colors[i][channel])).unwrap_or_default())
+        })
     }
 }
