@@ -41,6 +41,30 @@ fn masks_of_a_rendered_room_are_the_true_ones() {
 }
 
 #[test]
+fn where_a_person_stood_the_background_is_that_of_the_surroundings() {
+    let (width, height, num_samples) = (96, 32, 16);
+    let camera = Camera::look_at([0.0, 0.0, -3.0], [0.0; 3], [0.0, -1.0, 0.0], 50.0, width, height);
+    let mut station = Station::new(0, &camera, 1);
+    let wall = |x: usize| if x % 4 < 2 { [150, 120, 90] } else { [60, 80, 140] };
+    let person = [210, 40, 40];
+    // The person stands still for ten samples, then steps aside but for the feet.
+    let (trunk, feet) = (|x: usize, y: usize| (20..26).contains(&x) && (8..20).contains(&y), |y: usize| y >= 18);
+    for sample in 0..num_samples {
+        let is_person = |x, y| trunk(x, y) && (sample < 10 || feet(y));
+        let color = |i: usize| if is_person(i % width, i / width) { person } else { wall(i % width) };
+        station.samples.push((0..width * height).map(color).collect());
+    }
+    let covered: Vec<bool> = (0..width * height).map(|i| trunk(i % width, i / width)).collect();
+    station.find_background(Some(&vec![covered; num_samples]));
+    for i in (0..width * height).filter(|&i| station.background.known[i]) {
+        let found = station.background.colors[i].map(|value| (255.0 * value).round() as u8);
+        assert_eq!(found, wall(i % width), "{} {}", i % width, i / width);
+    }
+    let is_known = |x: usize, y: usize| station.background.known[y * width + x];
+    assert!((20..26).all(|x| (8..18).all(|y| is_known(x, y)) && (18..20).all(|y| !is_known(x, y))));
+}
+
+#[test]
 fn too_few_frames_and_moving_cameras_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let settings =
