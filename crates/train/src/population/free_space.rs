@@ -1,7 +1,7 @@
-//! The space around the training cameras. Nothing stands there: it would hide the scene.
+//! The space around the training cameras and between them. Nothing stands there: it would hide the scene.
 
 use rayon::prelude::*;
-use tcgs_core::{Camera, Pinhole, distance};
+use tcgs_core::{Camera, Pinhole, cameras_between, distance};
 
 /// Radius of the space around a camera, as a share of the distance from which on there are points.
 const SHARE: f32 = 0.5;
@@ -9,7 +9,10 @@ const SHARE: f32 = 0.5;
 /// Share of the initial points that may stand nearer to a camera than that distance, by mistake.
 const OUTLIERS: f32 = 1e-3;
 
-/// A ball around each training camera. Gaussians in it would show in few training images, and hide the scene from other
+/// Number of cameras between the training cameras that have such a space, too.
+const NUM_BETWEEN: usize = 64;
+
+/// A ball around each training camera, and around cameras between these. Gaussians in it would show in few training images, and hide the scene from other
 /// cameras.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct FreeSpace {
@@ -20,6 +23,7 @@ pub(crate) struct FreeSpace {
 impl FreeSpace {
     /// - `points`: the initial points, `[P, 3]`, at least one
     pub fn around(cameras: &[Camera], points: &[[f32; 3]]) -> Self {
+        let cameras = [cameras, &cameras_between(cameras, 0..NUM_BETWEEN)].concat();
         let num_outliers = (OUTLIERS * points.len() as f32) as usize;
         let ball = |camera: &Camera| {
             let center = Pinhole::<f32>::new(camera).center;
