@@ -20,6 +20,8 @@ pub(super) struct Rule {
     pub same_place_px: f32,
     /// Other views that must agree.
     pub min_agreeing: usize,
+    /// Least share of an image's pixels that are connected, with depths on which views agree.
+    pub min_patch: f32,
 }
 
 /// Depths of a view that count as known.
@@ -94,7 +96,46 @@ pub(super) fn agreed(
                 .push((pixel, Point { position: mean(sum), color: mean(color), foreground: me.is_foreground(pixel) }));
         }
     }
+    retain_patches(&mut points, &me.pinhole, rule);
     points
+}
+
+/// Removes points of small patches. A patch is a set of connected pixels whose depths differ by less than the rule's
+/// difference a pixel. Where few views are asked, single pixels agree by chance.
+pub(super) fn retain_patches(points: &mut Vec<(usize, Point)>, pinhole: &Pinhole<f32>, rule: &Rule) {
+    let (width, height) = (pinhole.width, pinhole.height);
+    let min_pixels = (rule.min_patch * (width * height) as f32) as usize;
+    if min_pixels <= 1 {
+        return;
+    }
+    let mut depths = vec![0.0; width * height];
+    points.iter().for_each(|(pixel, point)| depths[*pixel] = pinhole.camera_point(point.position)[2]);
+    let mut is_kept = vec![false; depths.len()];
+    let mut is_visited = is_kept.clone();
+    for (start, _) in &*points {
+        let mut patch = Vec::new();
+        let mut open = vec![*start];
+        while let Some(pixel) = open.pop() {
+            if std::mem::replace(&mut is_visited[pixel], true) {
+                continue;
+            }
+            patch.push(pixel);
+            let (x, y) = (pixel % width, pixel / width);
+            for y in y.saturating_sub(1)..(y + 2).min(height) {
+                for x in x.saturating_sub(1)..(x + 2).min(width) {
+                    let other = y * width + x;
+                    let is_near = (depths[other] / depths[pixel] - 1.0).abs() < rule.same_depth;
+                    if !is_visited[other] && depths[other] > 0.0 && is_near {
+                        open.push(other);
+                    }
+                }
+            }
+        }
+        if patch.len() >= min_pixels {
+            patch.iter().for_each(|&pixel| is_kept[pixel] = true);
+        }
+    }
+    points.retain(|&(pixel, _)| is_kept[pixel]);
 }
 
 /// The point of another view where `point` falls into its image, and the pixel, if it is the same point.

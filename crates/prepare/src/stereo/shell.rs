@@ -14,6 +14,8 @@ const THICKNESS: f32 = 0.01;
 const MIN_FLOOR_SHARE: f32 = 0.08;
 /// Largest mean distance of points from a sphere, relative, for a sphere to count.
 const MAX_MISS: f32 = 0.1;
+/// Least radius of a sphere around all points, over the distance of the farthest camera from the middle of all.
+const BEHIND_CAMERAS: f32 = 1.5;
 /// Radius of an unknown background, over the distance between the farthest cameras.
 const UNKNOWN_DISTANCE: f32 = 3.0;
 
@@ -48,11 +50,12 @@ impl Shell {
             floor.is_none_or(|(normal, offset)| (dot(normal, *point) - offset).abs() > 3.0 * THICKNESS * far)
         };
         let rest: Vec<[f32; 3]> = judges.iter().copied().filter(off_floor).collect();
-        // Every camera must be inside the sphere. Without such a sphere rays end all around at the far distance.
+        // Every camera must be inside the sphere. Without such a sphere rays end all around at the far distance, or
+        // behind the cameras: points that are all between cameras tell nothing of walls.
         let inside = |&(center, radius): &([f32; 3], f32)| {
             vantages.iter().all(|vantage| distance(vantage.pinhole.center, center) < 1.1 * radius)
         };
-        let (center, radius) = find_sphere(&rest).filter(inside).unwrap_or((middle, far));
+        let (center, radius) = find_sphere(&rest).filter(inside).unwrap_or((middle, far.max(BEHIND_CAMERAS * spread)));
         Self { center, radius, floor }
     }
 
