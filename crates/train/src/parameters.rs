@@ -231,7 +231,7 @@ mod tests {
         assert!(cameras_differ(&[camera(1.018, 0.0), camera(1.0, 0.0)]));
         assert!(!cameras_differ(&[camera(1.0, 0.007), camera(1.0, 0.0)]));
         assert!(cameras_differ(&[camera(1.0, 0.009), camera(1.0, 0.0)]));
-        // What all cameras share is no difference.
+        // A brightness that all cameras share is no difference.
         assert!(!cameras_differ(&[camera(1.5, 0.1), camera(1.5, 0.1)]));
     }
 }

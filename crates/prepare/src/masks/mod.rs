@@ -177,7 +177,8 @@ pub fn make_masks(
     Ok(())
 }
 
-/// The backgrounds of a capture's training cameras behind everything that its masks mark, from frames of the whole clip.
+/// The backgrounds of a capture's training cameras behind everything that its masks mark, from frames of the whole
+/// clip.
 ///
 /// - `factor`: by which images are reduced
 /// - returns: `[cameras]`; `None` for a capture without masks, of a few frames, or whose cameras move

@@ -90,9 +90,9 @@ impl Station {
         self.background = found;
     }
 
-    /// The background of a pixel before which something seems to stand in all samples: the colour of its samples that is
-    /// also the background around it. Where somebody stood for most of the time, and stepped aside, the median shows
-    /// this person, and samples without the person differ from it.
+    /// The background of a pixel that is covered in all samples: the colour, among them, that the background around it
+    /// has. Where a person stands for most of the time, the median shows this person, and samples without the person
+    /// differ from it.
     ///
     /// - `found`: the background so far
     /// - returns: `None` if the surroundings do not tell

@@ -12,8 +12,8 @@ const OUTLIERS: f32 = 1e-3;
 /// Number of cameras between the training cameras that have such a space, too.
 const NUM_BETWEEN: usize = 64;
 
-/// A ball around each training camera, and around cameras between these. Gaussians in it would show in few training images, and hide the scene from other
-/// cameras.
+/// A ball around each training camera, and around cameras between these. Gaussians in it would show in few training
+/// images, and hide the scene from other cameras.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct FreeSpace {
     /// Centres and radii, scene units.
