@@ -20,8 +20,8 @@ pub(super) struct Rule {
     pub same_place_px: f32,
     /// Other views that must agree.
     pub min_agreeing: usize,
-    /// Least share of an image's pixels that are connected, with depths on which views agree.
-    pub min_patch: f32,
+    /// Least number of connected pixels with depths on which views agree.
+    pub min_pixels: usize,
 }
 
 /// Depths of a view that count as known.
@@ -103,11 +103,10 @@ pub(super) fn agreed(
 /// Removes points of small patches. A patch is a set of connected pixels whose depths differ by less than the rule's
 /// difference a pixel. Where few views are asked, single pixels agree by chance.
 pub(super) fn retain_patches(points: &mut Vec<(usize, Point)>, pinhole: &Pinhole<f32>, rule: &Rule) {
-    let (width, height) = (pinhole.width, pinhole.height);
-    let min_pixels = (rule.min_patch * (width * height) as f32) as usize;
-    if min_pixels <= 1 {
+    if rule.min_pixels <= 1 {
         return;
     }
+    let (width, height) = (pinhole.width, pinhole.height);
     let mut depths = vec![0.0; width * height];
     points.iter().for_each(|(pixel, point)| depths[*pixel] = pinhole.camera_point(point.position)[2]);
     let mut is_kept = vec![false; depths.len()];
@@ -131,7 +130,7 @@ pub(super) fn retain_patches(points: &mut Vec<(usize, Point)>, pinhole: &Pinhole
                 }
             }
         }
-        if patch.len() >= min_pixels {
+        if patch.len() >= rule.min_pixels {
             patch.iter().for_each(|&pixel| is_kept[pixel] = true);
         }
     }

@@ -75,8 +75,8 @@ const FEW_WITNESSES: usize = 3;
 const MAX_COST: f32 = 0.6;
 /// The same for cameras with [`FEW_WITNESSES`].
 const MAX_COST_OF_TWO: f32 = 0.3;
-/// Least share of an image's pixels that are connected, with depths on which two cameras agree: 16 pixels of 320x180.
-const MIN_PATCH_OF_TWO: f32 = 2.8e-4;
+/// Least number of connected pixels with depths on which two cameras agree, if no third could.
+const MIN_PIXELS: usize = 16;
 /// Factors of the smallest and the largest confirmed inverse depth at the coarsest level, which bound the background.
 const RANGE_MARGIN: [f32; 2] = [0.6, 1.6];
 /// Share of foreground among the points, where there is any.
@@ -325,14 +325,14 @@ impl Stereo {
         let mut sure: Vec<SureDepths> = self.vantages.iter().map(|v| SureDepths::unknown(&v.pinhole)).collect();
         let mut points = self.join(&mut sure, MAX_COST, |witnesses| {
             let min_agreeing = if witnesses < 6 { 2 } else { 3 };
-            Some(Rule { same_depth: 0.02, same_place_px: 1.5, min_agreeing, min_patch: 0.0 })
+            Some(Rule { same_depth: 0.02, same_place_px: 1.5, min_agreeing, min_pixels: 1 })
         });
         points.extend(self.join(&mut sure, MAX_COST_OF_TWO, |witnesses| {
             (witnesses <= FEW_WITNESSES).then_some(Rule {
                 same_depth: 0.01,
                 same_place_px: 1.0,
                 min_agreeing: 1,
-                min_patch: MIN_PATCH_OF_TWO,
+                min_pixels: if witnesses == 1 { MIN_PIXELS } else { 1 },
             })
         }));
         Fused { sure, agreement: points.len() as f64 / num_pixels.max(1) as f64, points }
@@ -419,7 +419,7 @@ impl Stereo {
                 Belief { planes: planes.into(), known }
             })
             .collect();
-        let rule = Rule { same_depth: 0.04, same_place_px: 3.0, min_agreeing: 2, min_patch: 0.0 };
+        let rule = Rule { same_depth: 0.04, same_place_px: 3.0, min_agreeing: 2, min_pixels: 1 };
         let of = |i: usize| {
             let unsure = |pixel: usize| sure[i].depths[pixel] == 0.0 && !self.plates[i].is_foreground(pixel);
             let points = agreed(&self.plates, &beliefs, &rule, i, &self.witnesses[i], unsure);

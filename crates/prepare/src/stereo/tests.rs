@@ -304,7 +304,7 @@ fn the_hull_of_a_ball_is_the_ball() {
 fn pixels_that_agree_by_chance_make_no_points() {
     let camera = tcgs_core::Camera::look_at([0.0; 3], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0], 60.0, 64, 48);
     let pinhole = Pinhole::new(&camera);
-    let rule = Rule { same_depth: 0.01, same_place_px: 1.0, min_agreeing: 1, min_patch: 5.3e-3 };
+    let rule = Rule { same_depth: 0.01, same_place_px: 1.0, min_agreeing: 1, min_pixels: 16 };
     let at = |x: usize, y: usize, depth: f32| {
         let pixel = y * 64 + x;
         let position = pinhole.unproject(pinhole.pixel_center(pixel), depth);
@@ -316,9 +316,9 @@ fn pixels_that_agree_by_chance_make_no_points() {
     let mut points: Vec<(usize, Point)> = wall.chain(before).chain(far).collect();
     fuse::retain_patches(&mut points, &pinhole, &rule);
     assert_eq!(points.len(), 20);
-    let rule = Rule { min_patch: 8e-3, ..rule };
+    let rule = Rule { min_pixels: 21, ..rule };
     fuse::retain_patches(&mut points, &pinhole, &rule);
-    assert!(points.is_empty(), "the wall has 20 of 3072 pixels");
+    assert!(points.is_empty(), "the wall has 20 pixels");
 }
 
 #[test]
