@@ -75,7 +75,7 @@ const FEW_WITNESSES: usize = 3;
 const MAX_COST: f32 = 0.6;
 /// The same for cameras with [`FEW_WITNESSES`].
 const MAX_COST_OF_TWO: f32 = 0.3;
-/// Least number of connected pixels with depths on which two cameras agree, if no third could.
+/// Least number of connected pixels with depths on which two cameras agree, if no camera has a third one to compare with.
 const MIN_PIXELS: usize = 16;
 /// Factors of the smallest and the largest confirmed inverse depth at the coarsest level, which bound the background.
 const RANGE_MARGIN: [f32; 2] = [0.6, 1.6];
@@ -327,12 +327,13 @@ impl Stereo {
             let min_agreeing = if witnesses < 6 { 2 } else { 3 };
             Some(Rule { same_depth: 0.02, same_place_px: 1.5, min_agreeing, min_pixels: 1 })
         });
+        let are_pairs = self.witnesses.iter().all(|witnesses| witnesses.len() <= 1);
         points.extend(self.join(&mut sure, MAX_COST_OF_TWO, |witnesses| {
             (witnesses <= FEW_WITNESSES).then_some(Rule {
                 same_depth: 0.01,
                 same_place_px: 1.0,
                 min_agreeing: 1,
-                min_pixels: if witnesses == 1 { MIN_PIXELS } else { 1 },
+                min_pixels: if are_pairs { MIN_PIXELS } else { 1 },
             })
         }));
         Fused { sure, agreement: points.len() as f64 / num_pixels.max(1) as f64, points }
