@@ -243,7 +243,7 @@ pub fn check(capture: &Capture, report: &mut dyn FnMut(&str)) -> Result<Diagnosi
         findings.extend(finding);
         stereo::check_comparable(capture, &views)?;
         let settings = StereoSettings { num_points: NUM_POINTS, image_width: WIDTH, ..StereoSettings::default() };
-        let prepared = stereo::cloud_of(&views, None, &settings, report);
+        let prepared = stereo::cloud_of(&views, &settings, report);
         let evidence = prepared.measured();
         let share = evidence.points.len() as f64 / prepared.cloud.points.len().max(1) as f64;
         (prepared.cloud, evidence, Some(share))

@@ -23,7 +23,6 @@ use tcgs_core::{Camera, Segmentation, View};
 use crate::PrepareError;
 use crate::stereo::hull::{Hull, Silhouette};
 use difference::differences;
-pub(crate) use station::Background;
 use station::{Pixels, Station};
 
 /// Settings of [`make_masks`].
@@ -134,7 +133,7 @@ pub fn make_masks(
     let total = (num_samples * (1 + ROUNDS) + num_frames) as f64;
     for i in 0..num_samples {
         report("sampling images", i as f64 / total);
-        let images = images(capture, &cameras, sampled_frame(i, num_samples, num_frames), factor)?;
+        let images = images(capture, &cameras, (2 * i + 1) * num_frames / (2 * num_samples), factor)?;
         stations.iter_mut().zip(images).for_each(|(station, image)| station.samples.push(image));
     }
     stations.par_iter_mut().for_each(|station| station.find_background(None));
@@ -175,42 +174,6 @@ pub fn make_masks(
         }
     }
     Ok(())
-}
-
-/// The backgrounds of a capture's training cameras behind everything that its masks mark, from frames of the whole
-/// clip.
-///
-/// - `factor`: by which images are reduced
-/// - returns: `[cameras]`; `None` for a capture without masks, of a few frames, or whose cameras move
-///
-/// # Errors
-/// [`PrepareError`] if an image or a mask cannot be decoded.
-pub(crate) fn backgrounds(capture: &Capture, factor: usize) -> Result<Option<Vec<Background>>, PrepareError> {
-    if !capture.has_segmentation() || obstacle_to_masks(capture)?.is_some() {
-        return Ok(None);
-    }
-    let cameras = capture.cameras(Split::Train, 0, 1)?;
-    let mut stations: Vec<Station> = cameras.iter().map(|(id, camera)| Station::new(*id, camera, factor)).collect();
-    let mut covered: Vec<Vec<Vec<bool>>> = vec![Vec::new(); stations.len()];
-    let num_samples = NUM_SAMPLES.min(capture.num_frames());
-    for i in 0..num_samples {
-        let frame = sampled_frame(i, num_samples, capture.num_frames());
-        for view in capture.views(Split::Train, frame, factor)? {
-            if let Some(at) = stations.iter().position(|station| station.camera_id == view.camera_id)
-                && let Some(mask) = &view.segmentation
-            {
-                stations[at].samples.push(pixels(&view));
-                covered[at].push(mask.foreground.clone());
-            }
-        }
-    }
-    stations.par_iter_mut().zip(&covered).for_each(|(station, covered)| station.find_background(Some(covered)));
-    Ok(Some(stations.into_iter().map(|station| station.background).collect()))
-}
-
-/// The frame of a sample, of samples that are spread over the clip.
-fn sampled_frame(i: usize, num_samples: usize, num_frames: usize) -> usize {
-    (2 * i + 1) * num_frames / (2 * num_samples)
 }
 
 /// The reduced images of a frame. Only a few full images are held at a time.

@@ -35,7 +35,7 @@ pub(super) struct Station {
 
 /// The background of a camera, behind everything that moves.
 #[derive(Default)]
-pub(crate) struct Background {
+pub(super) struct Background {
     /// `[H, W]`, in `[0, 1]`: medians over the samples that show it.
     pub colors: Vec<[f32; 3]>,
     /// `[H, W]`, whether enough samples show the background. An unknown pixel has the median of all samples.

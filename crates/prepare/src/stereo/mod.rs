@@ -30,7 +30,6 @@ use tcgs_capture::{Capture, Origin, Prepared, Split};
 use tcgs_core::{Pinhole, View, upper_median};
 
 use crate::PrepareError;
-use crate::masks::{Background, backgrounds};
 
 pub use spread::spread_points;
 
@@ -124,9 +123,7 @@ pub fn stereo_points(
     let views = capture.views(Split::Train, 0, 1)?;
     check_enough(capture, &views)?;
     let comparable = check_comparable(capture, &views);
-    report("taking backgrounds from all frames");
-    let backgrounds = backgrounds(capture, finest_factor(&views, settings.image_width))?;
-    let prepared = cloud_of(&views, backgrounds.as_deref(), settings, report);
+    let prepared = cloud_of(&views, settings, report);
     if prepared.count(Origin::Hull) == 0 {
         comparable?;
     } else if comparable.is_err() {
@@ -175,18 +172,10 @@ fn pinholes(views: &[View]) -> Vec<Pinhole<f32>> {
 }
 
 /// [`stereo_points`] on decoded images.
-///
-/// - `backgrounds`: `[views]` what is behind the foreground, reduced by the [`finest_factor`]; `None` if unknown
-pub(crate) fn cloud_of(
-    views: &[View],
-    backgrounds: Option<&[Background]>,
-    settings: &StereoSettings,
-    report: &mut dyn FnMut(&str),
-) -> Prepared {
-    let mut stereo = Stereo::search(views, finest_factor(views, settings.image_width), settings.seed, report);
-    if let Some(backgrounds) = backgrounds {
-        stereo.plates.iter_mut().zip(backgrounds).for_each(|(plate, background)| plate.uncover(background));
-    }
+pub(crate) fn cloud_of(views: &[View], settings: &StereoSettings, report: &mut dyn FnMut(&str)) -> Prepared {
+    let widest = views.iter().map(|view| view.camera.width).max().unwrap_or(1);
+    let finest = widest.div_ceil(settings.image_width).max(1);
+    let stereo = Stereo::search(views, finest, settings.seed, report);
     report("joining depths");
     let fused = stereo.fuse();
     report("continuing surfaces");
@@ -195,22 +184,14 @@ pub(crate) fn cloud_of(
 
 /// Share of the pixels whose depth other views confirm: small where cameras do not fit their images.
 pub(crate) fn agreement(views: &[View], image_width: usize) -> f64 {
-    let stereo = Stereo::search(views, finest_factor(views, image_width), 0, &mut |_| ());
-    stereo.fuse().agreement
-}
-
-/// The factor by which images are reduced at the finest level.
-fn finest_factor(views: &[View], image_width: usize) -> usize {
     let widest = views.iter().map(|view| view.camera.width).max().unwrap_or(1);
-    let narrowest = views.iter().map(|view| view.camera.width.min(view.camera.height)).min().unwrap_or(1);
-    widest.div_ceil(image_width).max(1).min(narrowest / 2).max(1)
+    let stereo = Stereo::search(views, widest.div_ceil(image_width).max(1), 0, &mut |_| ());
+    stereo.fuse().agreement
 }
 
 /// Depths of all views.
 struct Stereo {
     vantages: Vec<Vantage>,
-    /// The same without the foreground, where the background behind it is known.
-    plates: Vec<Vantage>,
     maps: Vec<DepthMap>,
     witnesses: Vec<Vec<usize>>,
     hull: Hull,
@@ -230,7 +211,7 @@ struct Fused {
 impl Stereo {
     fn search(views: &[View], finest: usize, seed: u64, report: &mut dyn FnMut(&str)) -> Self {
         let narrowest = views.iter().map(|view| view.camera.width.min(view.camera.height)).min().unwrap_or(1);
-        let mut factors = vec![finest];
+        let mut factors = vec![finest.min(narrowest / 2).max(1)];
         while factors.len() < MAX_LEVELS
             && views.iter().all(|view| view.camera.width / (2 * factors[0]) >= COARSEST_WIDTH)
             && narrowest / (2 * factors[0]) >= 2
@@ -240,7 +221,6 @@ impl Stereo {
         let all_at = |factor: usize| -> Vec<Vantage> { views.par_iter().map(|v| Vantage::new(v, factor)).collect() };
         let mut stereo = Self {
             vantages: all_at(factors[factors.len() - 1]),
-            plates: Vec::new(),
             maps: Vec::new(),
             witnesses: Vec::new(),
             hull: Hull::default(),
@@ -287,7 +267,6 @@ impl Stereo {
                 stereo.narrow(&mut background);
             }
         }
-        stereo.plates = stereo.vantages.clone();
         stereo
     }
 
@@ -328,13 +307,10 @@ impl Stereo {
             Some(Rule { same_depth: 0.02, same_place_px: 1.5, min_agreeing, min_pixels: 1 })
         });
         let are_pairs = self.witnesses.iter().all(|witnesses| witnesses.len() <= 1);
+        let min_pixels = if are_pairs { MIN_PIXELS } else { 1 };
         points.extend(self.join(&mut sure, MAX_COST_OF_TWO, |witnesses| {
-            (witnesses <= FEW_WITNESSES).then_some(Rule {
-                same_depth: 0.01,
-                same_place_px: 1.0,
-                min_agreeing: 1,
-                min_pixels: if are_pairs { MIN_PIXELS } else { 1 },
-            })
+            let rule = Rule { same_depth: 0.01, same_place_px: 1.0, min_agreeing: 1, min_pixels };
+            (witnesses <= FEW_WITNESSES).then_some(rule)
         }));
         Fused { sure, agreement: points.len() as f64 / num_pixels.max(1) as f64, points }
     }
@@ -371,7 +347,7 @@ impl Stereo {
         let shell = Shell::fit(&self.vantages, &background.iter().map(|p| p.position).collect::<Vec<_>>());
         let background = [visible(background), visible(self.filled(&fused.sure))];
         let mut all = [&foreground[..], &background].concat();
-        all.push(visible(self.ended(&all[2..], &shell)));
+        all.push(visible(self.ended(&all, &shell)));
         let between = visible(holes::between_ends(&self.between, &all, &shell));
         let outside = holes::outside_ends(&self.vantages, &shell, num_points);
         let holes = holes::colored(between, outside, &all[2..], num_points);
@@ -400,17 +376,12 @@ impl Stereo {
 
     /// Background between sure depths, where the continued surfaces of several views meet.
     fn filled(&self, sure: &[SureDepths]) -> Vec<Point> {
-        let sure_behind = |(vantage, sure): (&Vantage, &SureDepths)| {
-            let behind = |(pixel, &depth): (usize, &f32)| if vantage.is_foreground(pixel) { 0.0 } else { depth };
-            SureDepths { depths: sure.depths.iter().enumerate().map(behind).collect() }
-        };
-        let sure: Vec<SureDepths> = self.vantages.iter().zip(sure).map(sure_behind).collect();
         let beliefs: Vec<Belief> = (0..self.vantages.len())
             .into_par_iter()
             .map(|i| {
-                let plate = &self.plates[i];
-                let levels = (FILL_SHARE * plate.pinhole.width as f64).log2().round().max(0.0) as usize;
-                let filled = fill::fill(plate, &sure[i], levels);
+                let vantage = &self.vantages[i];
+                let levels = (FILL_SHARE * vantage.pinhole.width as f64).log2().round().max(0.0) as usize;
+                let filled = fill::fill(vantage, &sure[i], levels);
                 let planes = filled.iter().zip(&sure[i].depths).map(|(&filled, &depth)| {
                     let inverse_depth = if depth > 0.0 { 1.0 / depth } else { filled };
                     Plane { inverse_depth, gradient: [0.0; 2] }
@@ -422,28 +393,30 @@ impl Stereo {
             .collect();
         let rule = Rule { same_depth: 0.04, same_place_px: 3.0, min_agreeing: 2, min_pixels: 1 };
         let of = |i: usize| {
-            let unsure = |pixel: usize| sure[i].depths[pixel] == 0.0 && !self.plates[i].is_foreground(pixel);
-            let points = agreed(&self.plates, &beliefs, &rule, i, &self.witnesses[i], unsure);
+            let unsure = |pixel: usize| sure[i].depths[pixel] == 0.0 && !self.vantages[i].is_foreground(pixel);
+            let points = agreed(&self.vantages, &beliefs, &rule, i, &self.witnesses[i], unsure);
             points.into_iter().map(|(_, point)| point).collect()
         };
         (0..self.vantages.len()).into_par_iter().map(of).collect::<Vec<Vec<Point>>>().concat()
     }
 
     /// The ends of background rays that meet no point.
-    ///
-    /// - `points`: of the background
     fn ended(&self, points: &[Vec<Point>], shell: &Shell) -> Vec<Point> {
-        let of = |plate: &Vantage| {
-            let pinhole = &plate.pinhole;
-            let free = unmet(pinhole, points).into_iter().filter(|&pixel| !plate.is_foreground(pixel));
+        let of = |vantage: &Vantage| {
+            let pinhole = &vantage.pinhole;
+            let free = unmet(pinhole, points).into_iter().filter(|&pixel| !vantage.is_foreground(pixel));
             let end = |pixel: usize| {
                 let place = pinhole.pixel_center(pixel);
                 let depth = shell.depth(pinhole.center, pinhole.ray(place))?;
-                Some(Point { position: pinhole.unproject(place, depth), color: plate.colors[pixel], foreground: false })
+                Some(Point {
+                    position: pinhole.unproject(place, depth),
+                    color: vantage.colors[pixel],
+                    foreground: false,
+                })
             };
             free.filter_map(end).collect()
         };
-        self.plates.par_iter().map(of).collect::<Vec<Vec<Point>>>().concat()
+        self.vantages.par_iter().map(of).collect::<Vec<Vec<Point>>>().concat()
     }
 
     /// The hull's surface, in the colours of the views that see it.

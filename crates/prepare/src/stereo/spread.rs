@@ -70,8 +70,7 @@ fn spread(views: &[View], settings: &StereoSettings) -> Option<Prepared> {
     let shell = Shell::around(place, SHELL_SHARE * farthest);
     let (maps, witnesses, hull_surface) = (Vec::new(), Vec::new(), Vec::new());
     let between = Vec::new();
-    let plates = vantages.clone();
-    let stereo = Stereo { vantages, plates, maps, witnesses, hull: Hull::default(), hull_surface, between };
+    let stereo = Stereo { vantages, maps, witnesses, hull: Hull::default(), hull_surface, between };
     let ended = thin::thin(&[stereo.ended(&[], &shell)], settings.num_points - num_within);
 
     let mut prepared = Prepared::default();

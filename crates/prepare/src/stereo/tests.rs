@@ -89,47 +89,13 @@ fn the_shell_is_closed_in_all_directions() {
 }
 
 #[test]
-fn behind_what_moves_are_points_of_other_frames() {
-    let settings =
-        SyntheticSettings { num_train_cameras: 4, num_test_cameras: 0, num_timesteps: 24, ..Default::default() };
-    let folder = tempfile::tempdir().unwrap();
-    write_synthetic(folder.path(), &settings).unwrap();
-    let capture = Capture::open(folder.path()).unwrap();
-    let views = capture.views(Split::Train, 0, 1).unwrap();
-    let settings = StereoSettings { num_points: 8000, ..StereoSettings::default() };
-    let backgrounds = backgrounds(&capture, 1).unwrap().unwrap();
-    let vantages: Vec<Vantage> = views.iter().map(|view| Vantage::new(view, 1)).collect();
-    // Background that the first frame of a camera hides.
-    let hidden = |backgrounds: Option<&[Background]>| -> Prepared {
-        let prepared = cloud_of(&views, backgrounds, &settings, &mut |_| ());
-        let is_hidden = |&i: &usize| {
-            let pixel = |vantage: &Vantage| vantage.pinhole.pixel(prepared.cloud.points[i]).map(|(pixel, _)| pixel);
-            let hides = |vantage: &Vantage| pixel(vantage).is_some_and(|pixel| vantage.is_foreground(pixel));
-            !prepared.cloud.foreground[i] && vantages.iter().any(hides)
-        };
-        let mut kept = Prepared::default();
-        for i in (0..prepared.cloud.points.len()).filter(is_hidden) {
-            kept.cloud.points.push(prepared.cloud.points[i]);
-            kept.cloud.colors.push(prepared.cloud.colors[i]);
-            kept.cloud.foreground.push(false);
-            kept.origins.push(prepared.origins[i]);
-        }
-        kept
-    };
-    let (found, of_one_frame) = (hidden(Some(&backgrounds)), hidden(None));
-    let num_ended = [&found, &of_one_frame].map(|points| points.count(Origin::Shell));
-    assert!(num_ended[0] > num_ended[1] + 300, "{num_ended:?}");
-    check(&found, false, Origin::Shell, 1000, [(0.5, 0.25), (0.9, 1.0)]);
-}
-
-#[test]
 fn two_views_have_to_do_where_cameras_stand_far_apart() {
     let settings = SyntheticSettings { num_train_cameras: 4, num_test_cameras: 0, ..SyntheticSettings::default() };
     let (_folder, capture) = synthetic(&settings);
     let prepared = prepared(&capture, &StereoSettings { num_points: 8000, ..StereoSettings::default() });
     assert!(are_far_apart(&capture.views(Split::Train, 0, 1).unwrap()));
     check(&prepared, true, Origin::Triangulated, 1000, [(0.5, 0.015), (0.9, 0.05)]);
-    check(&prepared, false, Origin::Triangulated, 1500, [(0.5, 0.008), (0.9, 0.045)]);
+    check(&prepared, false, Origin::Triangulated, 1800, [(0.5, 0.015), (0.9, 0.06)]);
 }
 
 #[test]

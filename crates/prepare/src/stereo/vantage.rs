@@ -2,8 +2,6 @@
 
 use tcgs_core::{Pinhole, View};
 
-use crate::masks::Background;
-
 /// A small image and its camera.
 #[derive(Clone, Debug)]
 pub(crate) struct Vantage {
@@ -33,16 +31,6 @@ impl Vantage {
             gray: colors.iter().map(|c| c.iter().sum::<f32>() / 3.0).collect(),
             colors,
             mask: view.segmentation.as_ref().map(|mask| mask.downscaled(factor).foreground),
-        }
-    }
-
-    /// Puts the background in place of the foreground, where it is known. Grey stays.
-    pub fn uncover(&mut self, background: &Background) {
-        let Some(mask) = &mut self.mask else { return };
-        for (i, is_foreground) in mask.iter_mut().enumerate() {
-            if *is_foreground && background.known[i] {
-                (self.colors[i], *is_foreground) = (background.colors[i], false);
-            }
         }
     }
 
