@@ -7,9 +7,9 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 use tcgs_core::{BaseColumns, Camera, Gaussians, Image, PointCloud, distance, squared_distance};
 
-/// Standard deviation, over the cameras, of the brightness of a grey of 0.5, above which cameras differ: one level of
-/// 255. Smaller differences are noise of the training, which more training would increase.
-const DIFFERENT: f32 = 1.0 / 255.0;
+/// [`spread_of_cameras`] above which cameras differ: one level of 255. Smaller differences are noise of the training,
+/// which more training would increase.
+pub(crate) const DIFFERENT: f32 = 1.0 / 255.0;
 
 /// All learned parameters at one timestep, in stored form.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -143,15 +143,17 @@ pub(crate) fn nearest(points: &[[f32; 3]], count: usize) -> Vec<Vec<(u32, f32)>>
         .collect()
 }
 
-/// Whether cameras of these gains and offsets see the scene at different brightness, in any channel.
-pub(crate) fn cameras_differ(cameras: &[[[f32; 3]; 2]]) -> bool {
+/// Standard deviation, over cameras of these gains and offsets, of the brightness of a grey of 0.5: of the channel in
+/// which they differ most.
+pub(crate) fn spread_of_cameras(cameras: &[[[f32; 3]; 2]]) -> f32 {
     let count = cameras.len() as f32;
-    (0..3).any(|channel| {
+    let spread = |channel: usize| {
         let brightness = cameras.iter().map(|[gain, offset]| 0.5 * gain[channel].exp() + offset[channel]);
         let mean = brightness.clone().sum::<f32>() / count;
         let variance = brightness.map(|value| (value - mean).powi(2)).sum::<f32>() / count;
-        variance.sqrt() > DIFFERENT
-    })
+        variance.sqrt()
+    };
+    (0..3).map(spread).fold(0.0, f32::max)
 }
 
 /// A rendered picture in the colours of a camera.
@@ -225,6 +227,7 @@ mod tests {
     #[test]
     fn cameras_differ_by_more_than_one_level_of_255() {
         let camera = |gain: f32, offset: f32| [[0.0, gain.ln(), 0.0], [0.0, 0.0, offset]];
+        let cameras_differ = |cameras: &[[[f32; 3]; 2]]| spread_of_cameras(cameras) > DIFFERENT;
         assert!(!cameras_differ(&[camera(1.0, 0.0), camera(1.0, 0.0)]));
         // A grey of 0.5 is brighter by half of the gain.
         assert!(!cameras_differ(&[camera(1.014, 0.0), camera(1.0, 0.0)]));

@@ -19,7 +19,7 @@ use tcgs_render::{Rasterizer, RenderSettings};
 
 use crate::adam::BETA1;
 use crate::engine::cpu::{ImageLoss, image_loss};
-use crate::parameters::cameras_differ;
+use crate::parameters::{DIFFERENT, spread_of_cameras};
 use crate::schedule::cosine;
 
 /// Decay of the second moments: a keypoint is trained in a few of the timesteps only, so they settle faster than those of a
@@ -93,7 +93,7 @@ impl Refiner {
         let correction = |count: i32| [BETA1, BETA2].map(|beta| 1.0 / (1.0 - beta.powi(count)));
         let corrections = (1..=NUM_CORRECTIONS as i32).map(correction).collect();
         let light = vec![[Latent::default(); 3]; scene.num_timesteps()];
-        let cameras_differ = cameras_differ(cameras);
+        let cameras_differ = spread_of_cameras(cameras) > DIFFERENT;
         let cameras = cameras.iter().map(|camera| camera.map(|values| values.map(latent))).collect();
         let mean_second = vec![0.0; latents.len()];
         Self { scene, config, latents, mean_second, light, cameras, cameras_differ, corrections }

@@ -18,12 +18,16 @@ use crate::config::TrainConfig;
 use crate::engine::{Engine, Step};
 use crate::gate::{Pace, Trained};
 use crate::losses::{LossTerms, WeightConfig};
-use crate::parameters::cameras_differ;
+use crate::parameters::{DIFFERENT, spread_of_cameras};
 use crate::schedule::{Phase, Schedule};
 use crate::state::State;
 
 /// Factor of the rate of the cameras' gains and offsets, if cameras differ in brightness.
 const DIFFERENT_CAMERAS: f32 = 10.0;
+
+/// Spread of the cameras' brightness that noise alone may reach, in steps of their rate. It matters in first timesteps
+/// of less than 1500 iterations, which have higher rates.
+const NOISE: f32 = 30.0;
 
 /// The report of one iteration that [`Trainer::fit`](crate::Trainer::fit) gives to its observer.
 #[derive(Clone, Copy, Debug)]
@@ -59,8 +63,8 @@ pub(crate) struct Solver {
     pub trained: Trained,
     /// As in the engine's state, which may be on another device.
     num_gaussians: usize,
-    /// Whether gains and offsets learned by the last change of the Gaussians say that the cameras differ in brightness.
-    cameras_differ: bool,
+    /// Spread of the training cameras' brightness, as learned by the last change of the Gaussians.
+    spread_of_cameras: f32,
     /// The channel through which other threads ask for the scene.
     pub glimpse: Option<Arc<Glimpse>>,
 }
@@ -120,7 +124,7 @@ impl Solver {
             timestep,
             trained: Trained::ALL,
             num_gaussians,
-            cameras_differ: false,
+            spread_of_cameras: 0.0,
             glimpse: None,
         }
     }
@@ -135,7 +139,7 @@ impl Solver {
         let state = self.engine.state_mut()?;
         change(state);
         self.num_gaussians = state.parameters.num_gaussians();
-        self.cameras_differ = cameras_differ(&state.parameters.corrections());
+        self.spread_of_cameras = spread_of_cameras(&state.parameters.corrections());
         Ok(())
     }
 
@@ -192,7 +196,7 @@ impl Solver {
             // Locked Gaussians share the quantizers.
             rates.step = 0.0;
         }
-        if self.cameras_differ && rates.centers_cameras {
+        if rates.centers_cameras && self.spread_of_cameras > DIFFERENT.max(NOISE * rates.camera) {
             rates.camera *= DIFFERENT_CAMERAS;
         }
         let step = Step {

@@ -68,9 +68,7 @@ type Trained = (Vec<f64>, f64, usize);
 
 /// One training on both engines: GPU, then CPU.
 fn train_on_both(gpu: &Gpu, seed: u64) -> [Trained; 2] {
-    let mut config = TrainConfig { seed, ..config(200, 40) };
-    // In so few iterations gains and offsets differ by about the limit from which on they learn faster.
-    config.rates.camera_centered = false;
+    let config = TrainConfig { seed, ..config(200, 40) };
     [trainer(&config, on_gpu(gpu)), trainer(&config, on_cpu)].map(|mut trainer| {
         let losses = fit(&mut trainer, 0..3);
         (losses, trainer.mean_psnr(&views(2)).unwrap(), trainer.num_gaussians())
