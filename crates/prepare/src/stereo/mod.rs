@@ -74,7 +74,7 @@ const FEW_WITNESSES: usize = 3;
 const MAX_COST: f32 = 0.6;
 /// The same for cameras with [`FEW_WITNESSES`].
 const MAX_COST_OF_TWO: f32 = 0.3;
-/// Least number of connected pixels with depths on which two cameras agree, if no camera has a third one to compare with.
+/// Least number of connected pixels with depths on which two cameras agree, where no camera can be compared with two.
 const MIN_PIXELS: usize = 16;
 /// Factors of the smallest and the largest confirmed inverse depth at the coarsest level, which bound the background.
 const RANGE_MARGIN: [f32; 2] = [0.6, 1.6];
