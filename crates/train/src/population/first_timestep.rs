@@ -256,6 +256,27 @@ mod tests {
         assert!(s.reshapes(1400) && !long.reshapes(1400), "scales are bounded until the end, where the preset does");
     }
 
+    /// The state of these Gaussians, of which the last is not trained.
+    fn state_of(gaussians: Gaussians) -> State {
+        let count = gaussians.num_gaussians();
+        let mut state = State::new(Parameters {
+            gaussians,
+            mask_logits: vec![1.0; count],
+            foreground: vec![true; count],
+            camera_gains: vec![[0.0; 3]; 2],
+            camera_offsets: vec![[0.0; 3]; 2],
+        });
+        state.num_fixed = 1;
+        state
+    }
+
+    fn two_views() -> [View; 2] {
+        [-2.0, 2.0].map(|x| {
+            let camera = Camera::look_at([x, 0.0, -4.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0], 60.0, 72, 54);
+            View { image: Image::filled(72, 54, 3, 0.5), camera, segmentation: None, frame: 0, camera_id: 0 }
+        })
+    }
+
     #[test]
     fn what_no_image_shows_becomes_opaque() {
         // Each camera has one of the first two before the third; the fourth stands beside the images.
@@ -266,18 +287,8 @@ mod tests {
             logit_opacities: vec![9.0, 2.0, 0.0, 0.0],
             colors: vec![[0.9, 0.3, 0.2], [0.2, 0.5, 0.9], [0.9, 0.8, 0.3], [0.5; 3]],
         });
-        let views = [-2.0, 2.0].map(|x| {
-            let camera = Camera::look_at([x, 0.0, -4.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0], 60.0, 72, 54);
-            View { image: Image::filled(72, 54, 3, 0.5), camera, segmentation: None, frame: 0, camera_id: 0 }
-        });
-        let mut state = State::new(Parameters {
-            gaussians,
-            mask_logits: vec![1.0; 4],
-            foreground: vec![true; 4],
-            camera_gains: vec![[0.0; 3]; 2],
-            camera_offsets: vec![[0.0; 3]; 2],
-        });
-        state.num_fixed = 1;
+        let views = two_views();
+        let mut state = state_of(gaussians);
         let rules = first_timestep(1500, Preset::Default);
         rules.reshape(&mut state, 789, 0, &views);
         assert_eq!(state.parameters.gaussians.logit_opacities(), [9.0, 2.0, 0.0, 0.0], "no event");
@@ -290,6 +301,7 @@ mod tests {
         let distance = (48.0_f32 * 48.0 + 16.0).sqrt();
         assert_eq!(state.parameters.gaussians.log_scales()[3], [-1.0, (largest_share(4) * distance).ln(), 2.0]);
     }
+
     #[test]
     fn the_space_around_cameras_is_cleared() {
         let near = [2.0, 0.5, -3.0];
@@ -300,19 +312,9 @@ mod tests {
             logit_opacities: vec![2.0; 4],
             colors: vec![[0.5; 3]; 4],
         });
-        let views = [-2.0, 2.0].map(|x| {
-            let camera = Camera::look_at([x, 0.0, -4.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0], 60.0, 72, 54);
-            View { image: Image::filled(72, 54, 3, 0.5), camera, segmentation: None, frame: 0, camera_id: 0 }
-        });
+        let views = two_views();
         let cameras = [views[0].camera.clone(), views[1].camera.clone()];
-        let mut state = State::new(Parameters {
-            gaussians,
-            mask_logits: vec![1.0; 4],
-            foreground: vec![true; 4],
-            camera_gains: vec![[0.0; 3]; 2],
-            camera_offsets: vec![[0.0; 3]; 2],
-        });
-        state.num_fixed = 1;
+        let mut state = state_of(gaussians);
         let mut rules = first_timestep(1500, Preset::Default);
         rules.free_space = FreeSpace::around(&cameras, &[[0.0, 0.0, 2.0]]);
         rules.reshape(&mut state, 950, 0, &views);
