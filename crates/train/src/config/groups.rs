@@ -61,7 +61,7 @@ pub struct RateConfig {
     /// Scales, first timestep only. Default 1e-3 (reference).
     pub log_scale: f32,
     /// Per-camera gain and offset, first timestep only. Default 1e-4 (reference). With `camera_centered` the rate is
-    /// ten times as large if cameras differ in brightness by more than one level of 255.
+    /// ten times as large if cameras differ in brightness by more than one level of 255 and 30 steps of the rate.
     pub camera: f32,
     /// Whether the cameras' gains have a (geometric) mean of 1 and their offsets a mean of 0, so that a camera that was not
     /// trained with sees the scene as it is. Reference false: a brightness that all cameras share may hide in them; default true.

@@ -56,8 +56,15 @@ mod tests {
         // By mistake.
         points.extend([[0.0, 0.0, -3.5]; 2]);
         let space = FreeSpace::around(&[camera(0.0), camera(10.0)], &points);
-        let places = [[0.0, 0.0, -3.5], [1.0, 0.0, -4.0], [0.0, 0.0, -2.1], [0.0, 0.0, -1.9], [10.0, 3.0, -4.0]];
-        assert_eq!(space.holds(&places), [true, true, true, false, true]);
-        assert_eq!(FreeSpace::default().holds(&places), [false; 5]);
+        let places = [
+            [0.0, 0.0, -3.5],
+            [1.0, 0.0, -4.0],
+            [0.0, 0.0, -2.1],
+            [0.0, 0.0, -1.9],
+            [10.0, 3.0, -4.0],
+            [3.0, 0.0, -4.0],
+        ];
+        assert_eq!(space.holds(&places), [true, true, true, false, true, true], "the last is between the cameras");
+        assert_eq!(FreeSpace::default().holds(&places), [false; 6]);
     }
 }
