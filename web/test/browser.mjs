@@ -78,6 +78,9 @@ async function goTo(page, timestep) {
   return settled(page);
 }
 
+/** Waits until no message covers a part of the picture. */
+const silent = (page) => page.waitForSelector("#toast:not(.shown)", { state: "attached" });
+
 /** Pictures of `tcgs render`, one a frame, along a path in a file. */
 function rendered(path, size, scene = SCENE) {
   const out = mkdtempSync(join(scratch, "frames-"));
@@ -239,7 +242,7 @@ for (const [renderer, webgpu] of Object.entries({ WebGPU: true, WebGL2: false })
 
     // A path that is dropped on the page is followed.
     await drop(page, "camera-path.json", readFileSync(file));
-    await page.waitForFunction(() => !document.querySelector("#toast").classList.contains("shown"));
+    await silent(page);
     const expected = rendered(file, "320x240");
     for (const timestep of [0, 3, 6, 20]) {
       const found = await goTo(page, timestep);
@@ -278,7 +281,7 @@ for (const [renderer, webgpu] of Object.entries({ WebGPU: true, WebGL2: false })
     await page.evaluate(() => document.querySelector("#path-save").click());
     await (await download).saveAs(file);
     await drop(page, "around.json", readFileSync(file));
-    await page.waitForFunction(() => !document.querySelector("#toast").classList.contains("shown"));
+    await silent(page);
     const expected = rendered(file, "320x240", scene);
     for (const timestep of [0, 1, 2, 3, 1]) {
       const found = await goTo(page, timestep);
@@ -378,6 +381,7 @@ test("a scene without antialiasing shows in WebGL2 as tcgs renders it", async (t
   await page.evaluate(() => document.querySelector("#path-save").click());
   await (await download).saveAs(file);
   const expected = rendered(file, "320x240", scene);
+  await silent(page);
   for (const timestep of [0, 9]) {
     await agree(t, page, await goTo(page, timestep), expected(timestep), `timestep ${timestep}`, { webgpu: false, covers: 0.9 });
   }
