@@ -76,6 +76,9 @@ const MAX_COST: f32 = 0.6;
 const MAX_COST_OF_TWO: f32 = 0.3;
 /// Least number of connected pixels with depths on which two cameras agree, where no camera can be compared with two.
 const MIN_PIXELS: usize = 16;
+/// Least radius of the shell, over the distance of the farthest camera from the middle of all, where no camera can be
+/// compared with two: their points lie between the cameras and tell nothing of walls.
+const BEHIND_CAMERAS: f32 = 1.5;
 /// Factors of the smallest and the largest confirmed inverse depth at the coarsest level, which bound the background.
 const RANGE_MARGIN: [f32; 2] = [0.6, 1.6];
 /// Share of foreground among the points, where there is any.
@@ -306,13 +309,17 @@ impl Stereo {
             let min_agreeing = if witnesses < 6 { 2 } else { 3 };
             Some(Rule { same_depth: 0.02, same_place_px: 1.5, min_agreeing, min_pixels: 1 })
         });
-        let are_pairs = self.witnesses.iter().all(|witnesses| witnesses.len() <= 1);
-        let min_pixels = if are_pairs { MIN_PIXELS } else { 1 };
+        let min_pixels = if self.are_pairs() { MIN_PIXELS } else { 1 };
         points.extend(self.join(&mut sure, MAX_COST_OF_TWO, |witnesses| {
             let rule = Rule { same_depth: 0.01, same_place_px: 1.0, min_agreeing: 1, min_pixels };
             (witnesses <= FEW_WITNESSES).then_some(rule)
         }));
         Fused { sure, agreement: points.len() as f64 / num_pixels.max(1) as f64, points }
+    }
+
+    /// Whether no view can be compared with two others.
+    fn are_pairs(&self) -> bool {
+        self.witnesses.iter().all(|witnesses| witnesses.len() <= 1)
     }
 
     /// Adds the depths on which views agree, of pixels without a sure depth. The points hide no depth that was sure
@@ -344,7 +351,9 @@ impl Stereo {
         let hides = |point: &Point| num_hidden_from(&self.vantages, &fused.sure, point.position) > MAX_HIDDEN_FROM;
         let visible = |points: Vec<Point>| -> Vec<Point> { points.into_par_iter().filter(|p| !hides(p)).collect() };
         let foreground = [visible(foreground), visible(self.hull_points())];
-        let shell = Shell::fit(&self.vantages, &background.iter().map(|p| p.position).collect::<Vec<_>>());
+        let min_radius = if self.are_pairs() { BEHIND_CAMERAS } else { 0.0 };
+        let positions: Vec<[f32; 3]> = background.iter().map(|point| point.position).collect();
+        let shell = Shell::fit(&self.vantages, &positions, min_radius);
         let background = [visible(background), visible(self.filled(&fused.sure))];
         let mut all = [&foreground[..], &background].concat();
         all.push(visible(self.ended(&all, &shell)));

@@ -14,8 +14,6 @@ const THICKNESS: f32 = 0.01;
 const MIN_FLOOR_SHARE: f32 = 0.08;
 /// Largest mean distance of points from a sphere, relative, for a sphere to count.
 const MAX_MISS: f32 = 0.1;
-/// Least radius of a sphere around all points, over the distance of the farthest camera from the middle of all.
-const BEHIND_CAMERAS: f32 = 1.5;
 /// Radius of an unknown background, over the distance between the farthest cameras.
 const UNKNOWN_DISTANCE: f32 = 3.0;
 
@@ -35,7 +33,10 @@ impl Shell {
     }
 
     /// Fits a shell to points of the background.
-    pub fn fit(vantages: &[Vantage], points: &[[f32; 3]]) -> Self {
+    ///
+    /// - `min_radius`: least radius of a shell that is no sphere through points, over the distance of the farthest camera
+    ///   from the middle of all
+    pub fn fit(vantages: &[Vantage], points: &[[f32; 3]], min_radius: f32) -> Self {
         let middle = mean(vantages.iter().map(|vantage| vantage.pinhole.center));
         let spread = vantages.iter().map(|v| distance(v.pinhole.center, middle)).fold(0.0, f32::max);
         let step = points.len().div_ceil(NUM_JUDGES).max(1);
@@ -50,12 +51,11 @@ impl Shell {
             floor.is_none_or(|(normal, offset)| (dot(normal, *point) - offset).abs() > 3.0 * THICKNESS * far)
         };
         let rest: Vec<[f32; 3]> = judges.iter().copied().filter(off_floor).collect();
-        // Every camera must be inside the sphere. Without such a sphere rays end all around at the far distance, or
-        // behind the cameras: points that are all between cameras tell nothing of walls.
+        // Every camera must be inside the sphere. Without such a sphere rays end all around at the far distance.
         let inside = |&(center, radius): &([f32; 3], f32)| {
             vantages.iter().all(|vantage| distance(vantage.pinhole.center, center) < 1.1 * radius)
         };
-        let (center, radius) = find_sphere(&rest).filter(inside).unwrap_or((middle, far.max(BEHIND_CAMERAS * spread)));
+        let (center, radius) = find_sphere(&rest).filter(inside).unwrap_or((middle, far.max(min_radius * spread)));
         Self { center, radius, floor }
     }
 
