@@ -10,6 +10,7 @@ import { readParams } from "./params.js";
 import { Player } from "./player.js";
 import { sound } from "./sound.js";
 import { training } from "./training.js";
+import { trust } from "./trust.js";
 import { cards, element, idling, playback, shortcuts, showCard, statistics, toast } from "./ui.js";
 import { offerVr } from "./vr.js";
 
@@ -37,12 +38,14 @@ const { toggle: toggleCurves } = train ? training(player, train, params) : { tog
 listenForPointers(element("canvas"), player);
 player.addEventListener("canvas", ({ detail }) => listenForPointers(detail, player));
 listenForHeldKeys(player);
+const { toggle: toggleTrust } = trust(player, params.trust);
 idling(player);
 shortcuts(player, {
   camera: (index) => index < player.info.cameras.length && player.useCamera(index),
   h: showHelp,
   "?": showHelp,
   c: toggleFrusta,
+  g: toggleTrust,
   i: toggleStatistics,
   k: () => addToPath(player),
   m: toggleSound,

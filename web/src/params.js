@@ -18,6 +18,7 @@ export function readParams(query) {
     loop: flag(given.get("loop"), true),
     controls: flag(given.get("controls"), true),
     stats: flag(given.get("stats"), false),
+    trust: flag(given.get("trust"), true),
     speed: number(given.get("speed"), 0.05, 16, 1),
     timestep: number(given.get("timestep"), 0, 1e9, 0),
     /** Camera of the file to start from; null: the start view. */

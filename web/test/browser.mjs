@@ -18,7 +18,7 @@ const { TCGS = "target/release/tcgs", SCENE = "tcgs-demo/scene.tcgs", SHOTS } = 
 const bytes = readFileSync(SCENE);
 const TINY = new URL("../../testdata/bitstream/v1/room_default.tcgs", import.meta.url).pathname;
 const ENGINE = new URL("engine.mjs", import.meta.url).pathname;
-const EXACT = "quality=fixed&dpr=1&autoplay=0";
+const EXACT = "quality=fixed&dpr=1&autoplay=0&trust=0";
 /** Timeout of everything that waits: machines that run tests are slow and busy. */
 const PATIENCE_MS = 240_000;
 
@@ -169,6 +169,32 @@ test("mouse and keys move the camera, and R brings it back", async (t) => {
   await page.keyboard.press("r");
   const { near } = await compare(page, await settled(page), home);
   assert.ok(near > 0.9999, `back: ${near}`);
+});
+
+test("an edge shows what no camera saw, and the camera is led back from there, unless key G switches both off", async (t) => {
+  const page = await loaded(await open(t, "quality=fixed&dpr=1&autoplay=0", { from: server, viewport: { width: 320, height: 240 } }));
+  const edge = () => page.evaluate(() => Number(document.querySelector("#edge").style.opacity));
+  assert.equal(await edge(), 0);
+  const lookFromAbove = async () => {
+    await page.mouse.move(150, 20);
+    await page.mouse.down();
+    await page.mouse.move(150, 140, { steps: 3 });
+    await settled(page);
+    const shown = await edge();
+    if (shown > 0) await shot(page, "edge");
+    await page.mouse.up();
+    return { shown, picture: await settled(page) };
+  };
+  const led = await lookFromAbove();
+  assert.ok(led.shown > 0.3, `the edge is seen: ${led.shown}`);
+  assert.equal(await edge(), 0, "after the drag the camera was led back");
+  await page.keyboard.press("r");
+  await page.keyboard.press("g");
+  const left = await lookFromAbove();
+  assert.equal(left.shown, 0);
+  assert.ok((await compare(page, left.picture, led.picture)).near < 0.998);
+  await page.keyboard.press("g");
+  assert.ok((await compare(page, await settled(page), led.picture)).near > 0.95, "switched on again, it leads back to the same place");
 });
 
 test("a finger turns, two fingers zoom, on a phone on which everything fits", async (t) => {

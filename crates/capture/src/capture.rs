@@ -3,11 +3,12 @@
 //! What lives here: the questions that an open capture answers. What does not: reading the folder of each kind
 //! (`kinds`), and turning one camera's images into views (`footage`).
 
+use std::f64::consts::PI;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use tcgs_core::{Camera, PointCloud, View};
+use tcgs_core::{Camera, PointCloud, Trust, View};
 
 use crate::contents::{CameraSet, Contents};
 use crate::footage::{ByFrame, Footage};
@@ -16,6 +17,12 @@ use crate::points::{self, Points};
 use crate::prepared::measured;
 use crate::recording::ColorChange;
 use crate::{CaptureError, Origin, kinds, points_in_view};
+
+/// Least share of points with a measured depth for good pictures from between the cameras.
+pub const MOSTLY_MEASURED: f64 = 0.5;
+/// Largest angle between two cameras between which pictures are good, radians: 60 degrees. Stereo compares no two cameras
+/// that are much farther apart.
+const BETWEEN: f64 = 60.0 / 180.0 * PI;
 
 /// Selects the training cameras, the test cameras, or both.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -328,6 +335,21 @@ impl Capture {
         let origins = self.origins()?;
         let measured = |origins: &[Origin]| origins.iter().filter(|origin| origin.is_measured()).count();
         Ok(origins.map(|origins| measured(&origins) as f64 / origins.len().max(1) as f64))
+    }
+
+    /// From where pictures of a training with this capture can be trusted.
+    ///
+    /// Half of the points must have a measured depth for pictures from between cameras: elsewhere surfaces were
+    /// guessed. Points of unknown origin count as measured.
+    ///
+    /// - `cameras`: of the training
+    /// - `center`: the point that they look at, world, scene units
+    ///
+    /// # Errors
+    /// As [`Self::measured_share`].
+    pub fn trust(&self, cameras: &[Camera], center: [f64; 3]) -> Result<Trust, CaptureError> {
+        let is_measured = self.measured_share()?.is_none_or(|share| share >= MOSTLY_MEASURED);
+        Ok(Trust::of(cameras, center, if is_measured { BETWEEN } else { 0.0 }))
     }
 
     /// The initial points whose depth is measured; all points if their file does not say how they were made.

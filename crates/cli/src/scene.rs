@@ -4,7 +4,7 @@ use std::path::Path;
 
 use clap::Args;
 use tcgs_codec::{DecodeError, Loss};
-use tcgs_core::SceneReader;
+use tcgs_core::{SceneReader, Trust};
 use tcgs_interchange::{Axes, HigherHarmonics, ReadLimits, ReadNote, ReadSettings};
 use tcgs_pipeline::{CutFiles, Fault, HasFault, OpenScene, OpenSettings, PipelineError};
 
@@ -148,6 +148,23 @@ pub fn describe(scene: &OpenScene) -> String {
     };
     let antialiased = if scene.layout().is_antialiased() { ", antialiased" } else { "" };
     format!("{path} ({kind}): {number} Gaussians{harmonics}{antialiased}, {num_timesteps} timesteps, {size}")
+}
+
+/// From where pictures can be trusted, in words.
+pub fn describe_trust(trust: &Trust) -> String {
+    let groups = trust.groups();
+    let beyond = Trust::ASIDE_DEGREES;
+    let num_alone = groups.iter().filter(|&&size| size == 1).count();
+    let from = match (groups.len() - num_alone, num_alone) {
+        (1, 0) => return format!("trust: pictures from between the cameras, and from up to {beyond}° beyond them"),
+        (0, _) => format!("within {beyond}° of each camera"),
+        (1, _) => format!("between the cameras of one group, and within {beyond}° of each other camera"),
+        (together, 0) => format!("between the cameras of {together} groups, and from up to {beyond}° beyond them"),
+        (together, _) => {
+            format!("between the cameras of {together} groups, and within {beyond}° of each other camera")
+        }
+    };
+    format!("trust: pictures from {from}; what only other views show was guessed")
 }
 
 /// The smallest and the largest number of Gaussians at any timestep.

@@ -2,6 +2,7 @@
 //! decoder needs these data; a reader ignores data that are invalid.
 
 use serde::{Deserialize, Serialize};
+use tcgs_core::{Trust, length};
 
 use crate::keypoints::{Selector, fit_values};
 
@@ -13,6 +14,9 @@ pub const CREDITS: &str = "tcgs.credits";
 pub const SOUND: &str = "tcgs.sound";
 /// Name of the application data with the light on a scene over time.
 pub const LIGHT: &str = "tcgs.light";
+
+/// Name of the application data with the positions from which pictures can be trusted.
+pub const TRUST: &str = "tcgs.trust";
 
 /// Gains that differ from 1 by less count as 1. Keypoint selection allows half of it as root mean square error.
 const LEAST_CHANGE: f32 = 0.004;
@@ -155,6 +159,61 @@ pub fn read_credits(data: &[(String, Vec<u8>)]) -> Option<Credits> {
     parse(data, CREDITS)
 }
 
+/// Positions from which pictures can be trusted, in a file: all angles in degrees.
+#[derive(Serialize, Deserialize)]
+struct TrustInFile {
+    center: [f64; 3],
+    /// From the centre to the nearest and to the farthest camera, scene units.
+    distances: [f64; 2],
+    /// Largest angle between two cameras between which pictures are trusted.
+    between: f64,
+    /// `[N, 3]` unit vectors from the centre to the cameras.
+    directions: Vec<[f64; 3]>,
+}
+
+/// Most directions that are read.
+const MAX_DIRECTIONS: usize = 256;
+/// Greatest angle between two cameras between which pictures are trusted that is read, degrees.
+const MAX_BETWEEN: f64 = 90.0;
+/// Largest deviation of a direction's length from 1.
+const MAX_LENGTH_ERROR: f64 = 0.01;
+
+/// Encodes trust as application data. Lengths are rounded to four decimals in scene units, directions to three.
+pub fn write_trust(trust: &Trust) -> Vec<u8> {
+    let rounded = |x: f64, parts: f64| (x * parts).round() / parts;
+    let in_file = TrustInFile {
+        center: trust.center().map(|x| rounded(x, PLACES)),
+        distances: trust.distances().map(|x| rounded(x, PLACES)),
+        between: rounded(trust.between().to_degrees(), 1.0),
+        directions: trust.directions().iter().map(|direction| direction.map(|x| rounded(x, 1e3))).collect(),
+    };
+    serde_json::to_vec(&in_file).expect("numbers are JSON")
+}
+
+/// The positions from which pictures of a scene can be trusted; `None` if the file does not say it, or says it wrongly.
+///
+/// - `data`: names and bytes of application data, in the order of the file
+///
+/// ```
+/// use tcgs_codec::{TRUST, read_trust};
+/// let json = br#"{ "center": [0, 0, 0], "distances": [2, 3], "between": 60, "directions": [[0, 0, -1]] }"#;
+/// let trust = read_trust(&[(TRUST.to_owned(), json.to_vec())]).unwrap();
+/// assert_eq!((trust.doubt([0.0, 0.2, -2.5]), trust.doubt([0.0, 0.0, 2.5])), (0.0, 1.0));
+/// ```
+pub fn read_trust(data: &[(String, Vec<u8>)]) -> Option<Trust> {
+    let TrustInFile { center, distances, between, directions } = parse(data, TRUST)?;
+    let is_unit = |direction: &[f64; 3]| (length(*direction) - 1.0).abs() <= MAX_LENGTH_ERROR;
+    let is_right = center.iter().all(|x| x.is_finite())
+        && 0.0 < distances[0]
+        && distances[0] <= distances[1]
+        && distances[1].is_finite()
+        && (0.0..=MAX_BETWEEN).contains(&between)
+        && (1..=MAX_DIRECTIONS).contains(&directions.len())
+        && directions.iter().all(is_unit);
+    let unit = |direction: [f64; 3]| direction.map(|x| x / length(direction));
+    is_right.then(|| Trust::new(center, directions.into_iter().map(unit).collect(), distances, between.to_radians()))
+}
+
 /// Parses the first data of a name; `None` if they are not JSON of this form. Unknown fields are skipped.
 fn parse<T: for<'a> Deserialize<'a>>(data: &[(String, Vec<u8>)], name: &str) -> Option<T> {
     let (_, bytes) = data.iter().find(|(of, _)| of == name)?;
@@ -218,6 +277,35 @@ mod tests {
         assert!((0..60).all(|t| error(t) < 3.0 * LEAST_CHANGE), "{light:?}");
         assert_eq!(read_light(&[(LIGHT.into(), light.to_json())]), light);
         assert_eq!(Light::through(&[[0.5; 3]]).at(7), [0.5; 3]);
+    }
+
+    #[test]
+    fn trust_goes_through_a_file_and_is_unknown_where_it_is_wrong() {
+        let directions = vec![[0.0, 0.0, -1.0], [0.6, 0.0, -0.8], [0.0, -0.6, -0.8]];
+        let trust = Trust::new([0.1, -2.0, 3.5], directions, [1.5, 2.25], 60_f64.to_radians());
+        let read = |json: &str| read_trust(&[(TRUST.into(), json.as_bytes().to_vec())]);
+        let json = String::from_utf8(write_trust(&trust)).unwrap();
+        let again = read(&json).unwrap();
+        assert_eq!((again.center(), again.distances()), (trust.center(), trust.distances()));
+        for position in [[0.1, -2.0, 1.5], [1.1, -2.5, 2.0], [4.0, -2.0, 3.5]] {
+            assert!((again.doubt(position) - trust.doubt(position)).abs() < 1e-2, "{position:?}");
+        }
+        for (right, wrong) in [
+            ("[0.1,-2.0,3.5]", "[0.1,-2.0]"),
+            ("[1.5,2.25]", "[2.5,2.25]"),
+            ("[1.5,2.25]", "[0.0,2.25]"),
+            ("[1.5,2.25]", "[1.5,1e999]"),
+            ("60.0", "91"),
+            ("60.0", "-1"),
+            ("[0.6,0.0,-0.8]", "[0.6,0.0,0.0]"),
+            ("[0.6,0.0,-0.8]", "[0.6,0.0,null]"),
+        ] {
+            assert!(json.contains(right), "{json}");
+            assert_eq!(read(&json.replace(right, wrong)), None, "{wrong}");
+        }
+        assert_eq!(read(&json.replace("[[0.0,0.0,-1.0],[0.6,0.0,-0.8],[0.0,-0.6,-0.8]]", "[]")), None);
+        let many = format!("[{}]", vec!["[0,0,-1]"; MAX_DIRECTIONS + 1].join(","));
+        assert_eq!(read(&json.replace("[[0.0,0.0,-1.0],[0.6,0.0,-0.8],[0.0,-0.6,-0.8]]", &many)), None);
     }
 
     #[test]

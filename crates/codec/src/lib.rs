@@ -58,7 +58,9 @@ mod quantize;
 mod scene_file;
 mod views;
 
-pub use attached::{CREDITS, Credits, LIGHT, Light, SOUND, TIMES, read_credits, read_light, read_times};
+pub use attached::{
+    CREDITS, Credits, LIGHT, Light, SOUND, TIMES, TRUST, read_credits, read_light, read_times, read_trust, write_trust,
+};
 pub use attribute_errors::{AttributeErrors, attribute_error};
 pub use bits::{BitMap, BitMapping, BitSettings, assign_bits};
 pub use bitstream::{

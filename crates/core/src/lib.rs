@@ -33,6 +33,7 @@ mod real;
 mod seen_colors;
 mod subject;
 mod tour;
+mod trust;
 mod vector;
 mod view;
 
@@ -62,5 +63,6 @@ pub use real::Real;
 pub use seen_colors::{seen_colors, seen_colors_bwd};
 pub use subject::{Subject, add_motion};
 pub use tour::{Tour, upright_axes};
+pub use trust::Trust;
 pub use vector::{add_scaled, cross, distance, dot, length, normalize, normalize_vjp, squared_distance, sub};
 pub use view::{Segmentation, View};

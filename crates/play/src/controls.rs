@@ -157,6 +157,29 @@ impl Controls {
         self.shift([dx, dy, dz].map(|d| d * self.start.distance));
     }
 
+    /// Where the camera stands, world, scene units.
+    pub fn position(&self) -> Vector {
+        self.pose.position
+    }
+
+    /// Moves part of the way to a position. The pivot stays where it is in the picture, and up stays up.
+    ///
+    /// - `to`: world, scene units
+    /// - `share`: of the way, in `[0, 1]`
+    pub fn approach(&mut self, to: Vector, share: f64) {
+        let pivot = self.pose.pivot();
+        let position = add_scaled(self.pose.position, share, sub(to, self.pose.position));
+        let (offset, distance) = (sub(pivot, position), length(sub(pivot, position)));
+        let across = cross(offset, self.up);
+        // Straight above or below the pivot the picture has no upright direction.
+        if !(distance.is_finite() && length(across) > MIN_POLE_ANGLE.sin() * distance) {
+            return;
+        }
+        let (forward, right) = (normalize(offset), normalize(across));
+        self.pose.axes = [right, cross(forward, right), forward];
+        (self.pose.position, self.pose.distance, self.pose.is_moved) = (position, distance, true);
+    }
+
     fn shift(&mut self, along: Vector) {
         if along.iter().all(|d| d.is_finite()) {
             for (axis, d) in self.pose.axes.into_iter().zip(along) {
@@ -244,6 +267,26 @@ mod tests {
     fn is_rotation(camera: &Camera) -> bool {
         let k = [[50.0, 0.0, 32.0], [0.0, 50.0, 24.0], [0.0, 0.0, 1.0]];
         Camera::new(64, 48, k, camera.camera_from_world).is_ok()
+    }
+
+    #[test]
+    fn a_camera_that_approaches_a_position_keeps_its_pivot_and_stands_upright() {
+        let mut controls = controls();
+        controls.orbit(0.7, -0.2);
+        let (from, to) = (controls.position(), [4.0, 1.0, -1.0]);
+        controls.approach(to, 0.25);
+        assert!(length(sub(controls.position(), add_scaled(from, 0.25, sub(to, from)))) < 1e-12);
+        controls.approach(to, 1.0);
+        let camera = controls.camera(SIZE);
+        assert!(length(sub(camera.center(), to)) < 1e-9 && is_rotation(&camera));
+        let [x, y] = seen(&camera, PIVOT);
+        assert!((x - 32.0).abs() < 1e-9 && (y - 24.0).abs() < 1e-9, "{x} {y}");
+        // What stands above the pivot is above it in the picture.
+        let [above_x, above_y] = seen(&camera, add_scaled(PIVOT, 0.1, UP));
+        assert!((above_x - x).abs() < 1e-9 && above_y < y, "{above_x} {above_y}");
+        // There is no upright picture from straight above.
+        controls.approach(add_scaled(PIVOT, 3.0, UP), 1.0);
+        assert_eq!(controls.camera(SIZE), camera);
     }
 
     #[test]

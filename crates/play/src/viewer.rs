@@ -1,7 +1,7 @@
 //! A player, a camera and a renderer: a complete viewer except for its window.
 
-use tcgs_codec::{Archive, FileCamera, SceneInfo, read_views};
-use tcgs_core::Camera;
+use tcgs_codec::{Archive, FileCamera, SceneInfo, read_trust, read_views};
+use tcgs_core::{Camera, Trust};
 
 use crate::clock::Clock;
 use crate::controls::Controls;
@@ -71,6 +71,8 @@ pub struct FrameReport {
     pub is_buffering: bool,
     /// Whether the picture shows the due timestep, with all its splats.
     pub is_drawn: bool,
+    /// How little the picture can be trusted, in `[0, 1]`, as [`Trust::doubt`] says; 0 for files that say nothing of it.
+    pub doubt: f64,
 }
 
 /// Plays one scene at a time and draws it from a camera that a person moves.
@@ -115,6 +117,7 @@ struct Session<F: Feed, R> {
 struct Display<M, R> {
     renderer: R,
     controls: Controls,
+    trust: Option<Trust>,
     /// The timestep that is drawn until the next due one has arrived.
     shown: M,
 }
@@ -156,6 +159,7 @@ impl<F: Feed, R: Renderer<Moment = F::Moment>> Viewer<F, R> {
                     session.display = Some(Display {
                         renderer: R::begin(&self.device)?,
                         controls: Controls::new(&camera, up, pivot),
+                        trust: read_trust(session.player.application_data()),
                         shown: moment,
                     });
                 }
@@ -205,6 +209,7 @@ impl<F: Feed, R: Renderer<Moment = F::Moment>> Viewer<F, R> {
             is_playing: clock.is_playing(),
             is_buffering: player.is_buffering(),
             is_drawn: player.is_due(&display.shown, sorter) && display.renderer.is_whole(),
+            doubt: display.trust.as_ref().map_or(0.0, |trust| trust.doubt(sorter.center())),
         }))
     }
 
@@ -276,6 +281,17 @@ impl<F: Feed, R: Renderer<Moment = F::Moment>> Viewer<F, R> {
     /// The camera's controls, once there is a picture.
     pub fn controls_mut(&mut self) -> Option<&mut Controls> {
         Some(&mut self.session.as_mut()?.display.as_mut()?.controls)
+    }
+
+    /// Moves the camera a part of the way to the nearest position from which pictures can be trusted. Does nothing if
+    /// the file does not say which positions these are.
+    ///
+    /// - `share`: of the way, in `[0, 1]`
+    pub fn lead_back(&mut self, share: f64) {
+        let display = self.session.as_mut().and_then(|session| session.display.as_mut());
+        if let Some(Display { controls, trust: Some(trust), .. }) = display {
+            controls.approach(trust.nearest(controls.position()), share);
+        }
     }
 
     /// The timestep that is drawn, once there is a picture.

@@ -12,7 +12,7 @@ use tcgs_pipeline::{EvaluateSettings, Evaluation, PipelineError, evaluate, evalu
 use crate::backend::{BackendName, BackendOptions};
 use crate::options::{self, CameraChoice, Frames, JobOptions};
 use crate::output::write_file;
-use crate::scene::{SceneOptions, describe, note_replaced};
+use crate::scene::{SceneOptions, describe, describe_trust, note_replaced};
 use crate::teller::Teller;
 use crate::terminal::{note, say};
 
@@ -111,6 +111,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let evaluation = Teller::default().watch(|teller| evaluate(&scene, &capture, &settings, &*renderer, teller))?;
     say(&describe(&scene))?;
+    if let Some(trust) = scene.trust()? {
+        say(&describe_trust(&trust))?;
+    }
     say(&table::text(&evaluation, lpips.is_some()))?;
     if let CameraChoice::Split(split @ (Split::Train | Split::All)) = arguments.cameras {
         say(flattery(split))?;

@@ -11,7 +11,7 @@ use std::path::PathBuf;
 use serde_json::{Map, Value, json};
 use tcgs_codec::{
     CohortInfo, Contents, DecodeError, DecodeLimits, FileInfo, SceneFile, SectionInfo, application_data, inspect,
-    inspect_cut,
+    inspect_cut, read_trust,
 };
 use tcgs_core::{open_file, read_file};
 use tcgs_pipeline::OpenScene;
@@ -21,7 +21,7 @@ use crate::attribute_errors;
 use crate::error::wrong_input;
 use crate::options::JobOptions;
 use crate::output::show_bytes;
-use crate::scene::{RecoverOption, SourceOptions, describe_loss, unreadable};
+use crate::scene::{RecoverOption, SourceOptions, describe_loss, describe_trust, unreadable};
 use crate::terminal::{note, say, write};
 
 /// Show what is in a .tcgs file and whether it is whole, or the basics of any other scene
@@ -125,6 +125,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         print_segments(&info, cohort, first_frame)?;
     } else {
         print_cohorts(&info, first_frame)?;
+    }
+    if let Some(trust) =
+        read_trust(&open().and_then(|mut file| file.application_data().map_err(damaged)).unwrap_or_default())
+    {
+        say(&describe_trust(&trust))?;
     }
     for (name, bytes) in data {
         say(&format!("application data: {name}, {}", show_bytes(bytes)))?;

@@ -19,6 +19,7 @@ use crate::next;
 use crate::output::show_bytes;
 use crate::pictures::{rgb, series, side_by_side, spread};
 use crate::prepare::expectation;
+use crate::scene::describe_trust;
 use crate::teller::Teller;
 
 /// Frames whose pictures are shown, spread over the clip.
@@ -70,7 +71,8 @@ pub fn make(
     );
 
     let prepared = prepared(folder);
-    let uncertain = uncertain(&prepared, record, held_out);
+    let mut uncertain = uncertain(&prepared, record, held_out);
+    uncertain.extend(scene.trust()?.as_ref().map(describe_trust));
     let figures = [
         ("size", size),
         (

@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use serde_json::{Value, json};
-use tcgs_capture::Capture;
+use tcgs_capture::{Capture, MOSTLY_MEASURED};
+use tcgs_core::Trust;
 use tcgs_pipeline::{CHECK_PAGE, examine};
 use tcgs_prepare::{CameraFit, Diagnosis};
 
@@ -13,11 +14,6 @@ use crate::output::write_file;
 use crate::pictures::rgb;
 use crate::teller::Teller;
 use crate::terminal::say;
-
-/// Least share of points with a measured depth for good pictures between the cameras.
-const MOSTLY_MEASURED: f64 = 0.5;
-/// Angle around each camera within which pictures are good where depth is assumed.
-const ASIDE_DEGREES: usize = 10;
 
 /// Checks a capture. A finding is an error, for the exit code.
 pub fn run(path: &Path, sheet: Option<&Path>, page: Option<&Path>, job: &JobOptions) -> anyhow::Result<()> {
@@ -107,7 +103,7 @@ pub fn remarks(diagnosis: &Diagnosis) -> Vec<String> {
 pub fn expectation(measured_share: f64) -> String {
     let where_good = match measured_share {
         MOSTLY_MEASURED.. => "between the cameras".into(),
-        _ => format!("within {ASIDE_DEGREES}° of each camera"),
+        _ => format!("within {}° of each camera", Trust::ASIDE_DEGREES),
     };
     let percent = 100.0 * (1.0 - measured_share);
     format!("{percent:.0} % of the points have no measured depth: expect good pictures {where_good}")

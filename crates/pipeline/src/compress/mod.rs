@@ -19,7 +19,7 @@ use std::sync::Arc;
 
 use tcgs_codec::{
     AttributeErrors, BitMap, BitMapping, CompactFile, CompactScene, CompressSettings, DecodeError, DecodeLimits,
-    FORMAT_VERSION, LABELS, Light, MAX_BITS, Quantizers, SceneInfo, UpAxis, VIEWS, inspect,
+    FORMAT_VERSION, LABELS, Light, MAX_BITS, Quantizers, SceneInfo, UpAxis, inspect,
 };
 use tcgs_core::{Attribute, Camera, DynamicGaussians, Layout, Life, Lives, SceneReader};
 
@@ -27,6 +27,7 @@ use self::bits::measured_bits;
 use self::kept::Kept;
 use self::parts::Parts;
 use self::seen::{Seen, seen};
+use self::views::TrainedFrom;
 use crate::verify::whole_file_limits;
 use crate::{OpenScene, PipelineError};
 
@@ -209,8 +210,8 @@ impl<'a> PrunedScene<'a> {
         if scene.num_timesteps() == 0 {
             return Err(PipelineError::input(scene.path.display(), "no timestep", "at least one"));
         }
-        let cameras = views::cameras(scene, options)?;
-        let up = options.up.unwrap_or_else(|| up_axis(&cameras));
+        let from = TrainedFrom::open(scene, options)?;
+        let up = options.up.unwrap_or_else(|| up_axis(&from.cameras));
         let mut pruned = Self {
             path: scene.path.clone(),
             info: info(scene, up),
@@ -225,7 +226,7 @@ impl<'a> PrunedScene<'a> {
         if !parts::are_followed(scene)? {
             let parts = Parts::new(scene, options)?;
             pruned.bits_from = parts.bits_from.clone();
-            return Self { content: Pruned::Parts(parts), ..pruned }.with_views(scene, &cameras, options);
+            return Ok(Self { content: Pruned::Parts(parts), ..pruned }.with_data(from.data(scene, options)?));
         }
         let learned = scene.learned_bits()?;
         let (kept, keep, raw_bytes) = if scene.is_on_disk() && scene.bytes > options.max_float_bytes {
@@ -243,7 +244,7 @@ impl<'a> PrunedScene<'a> {
             None => Lives(vec![whole; keep.len()]),
         };
         let (kept, keep) = if options.min_share > 0.0 {
-            let seen = seen_by_cameras(scene, &kept, &lives, &cameras, options.min_share)?;
+            let seen = seen_by_cameras(scene, &kept, &lives, &from.cameras, options.min_share)?;
             let is_needed = |seen: &Seen| seen.share >= options.min_share || !seen.is_in_images;
             let rows: Vec<usize> = (0..keep.len()).filter(|&row| is_needed(&seen[row])).collect();
             let seen_until = |row: usize| {
@@ -265,19 +266,13 @@ impl<'a> PrunedScene<'a> {
         let foreground = options.marks.of(scene, &keep)?;
         let learned = learned.map(|(_, quantizers)| quantizers);
         pruned.content = Pruned::Whole { kept, lives, bit_map, learned, foreground };
-        pruned.with_views(scene, &cameras, options)
+        Ok(pruned.with_data(from.data(scene, options)?))
     }
 
-    /// With cameras of the capture as its first data, if there are any.
-    fn with_views(
-        mut self,
-        scene: &OpenScene,
-        cameras: &[(usize, Camera)],
-        options: &CompressOptions,
-    ) -> Result<Self, PipelineError> {
-        let views = views::views(scene, cameras, options)?;
-        self.data.splice(0..0, views.map(|json| (VIEWS.into(), json)));
-        Ok(self)
+    /// With these as its first application data.
+    fn with_data(mut self, data: Vec<(String, Vec<u8>)>) -> Self {
+        self.data.splice(0..0, data);
+        self
     }
 
     /// Whether the file will say which Gaussians are foreground.

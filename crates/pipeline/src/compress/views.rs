@@ -1,49 +1,69 @@
-//! Cameras that a file gives players to start from: application data, as `docs/FORMAT.md` says.
+//! What a file says of the cameras of its training, as application data (`docs/FORMAT.md`): views to start from, and from
+//! where pictures can be trusted.
 
 use std::path::Path;
 
-use tcgs_capture::Split;
-use tcgs_codec::{FileCamera, UpAxis, write_views};
+use tcgs_capture::{Capture, Split};
+use tcgs_codec::{FileCamera, TRUST, UpAxis, VIEWS, write_trust, write_views};
 use tcgs_core::{Camera, Subject, length};
 
 use super::CompressOptions;
 use crate::spread::spread;
 use crate::{OpenScene, PipelineError};
 
-/// The training cameras of the capture given, or of the run's if it is still there; none without.
-pub fn cameras(scene: &OpenScene, options: &CompressOptions) -> Result<Vec<(usize, Camera)>, PipelineError> {
-    let of = |path: &Path| -> Result<_, PipelineError> {
-        Ok(scene.open_capture(path)?.cameras(Split::Train, scene.first_frame, 1)?)
-    };
-    Ok(match (&options.capture, scene.capture()) {
-        (Some(path), _) => of(path)?,
-        (None, Some(path)) => of(path).unwrap_or_default(),
-        (None, None) => Vec::new(),
-    })
+/// The capture given, or the run's if it is still there, and its training cameras; none without.
+#[derive(Default)]
+pub struct TrainedFrom {
+    capture: Option<Capture>,
+    /// Identifier and camera at the capture's full size.
+    pub cameras: Vec<(usize, Camera)>,
 }
 
-/// Some of the cameras, spread evenly, as the file holds them; `None` without any.
-///
-/// A player begins at the first: the innermost camera that shows the scene's subject, at the first timestep, without fog.
-pub fn views(
+impl TrainedFrom {
+    pub fn open(scene: &OpenScene, options: &CompressOptions) -> Result<Self, PipelineError> {
+        let of = |path: &Path| -> Result<_, PipelineError> {
+            let capture = scene.open_capture(path)?;
+            let cameras = capture.cameras(Split::Train, scene.first_frame, 1)?;
+            Ok(Self { capture: Some(capture), cameras })
+        };
+        match (&options.capture, scene.capture()) {
+            (Some(path), _) => of(path),
+            (None, Some(path)) => Ok(of(path).unwrap_or_default()),
+            (None, None) => Ok(Self::default()),
+        }
+    }
+
+    /// What a file says of the cameras: some of them, spread evenly, and from where pictures can be trusted. Empty
+    /// without cameras.
+    pub fn data(&self, scene: &OpenScene, options: &CompressOptions) -> Result<Vec<(String, Vec<u8>)>, PipelineError> {
+        let Some(capture) = self.capture.as_ref().filter(|_| options.views > 0 && !self.cameras.is_empty()) else {
+            return Ok(Vec::new());
+        };
+        let all: Vec<Camera> = self.cameras.iter().map(|(_, camera)| camera.clone()).collect();
+        let subject = scene.subject(0, &all)?;
+        let views = views(scene, &self.cameras, &subject, options)?;
+        let trust = capture.trust(&all, subject.center)?;
+        Ok(vec![(VIEWS.into(), write_views(&views)), (TRUST.into(), write_trust(&trust))])
+    }
+}
+
+/// Some of the cameras, spread evenly. A player begins at the first: the innermost camera that shows the scene's subject,
+/// at the first timestep, without fog.
+fn views(
     scene: &OpenScene,
     cameras: &[(usize, Camera)],
+    subject: &Subject,
     options: &CompressOptions,
-) -> Result<Option<Vec<u8>>, PipelineError> {
+) -> Result<Vec<FileCamera>, PipelineError> {
     let of = |i: usize| FileCamera { name: cameras[i].0.to_string(), camera: cameras[i].1.clone() };
     let mut views: Vec<FileCamera> = spread(cameras.len(), options.views).map(of).collect();
-    if views.is_empty() {
-        return Ok(None);
-    }
-    let all: Vec<Camera> = cameras.iter().map(|(_, camera)| camera.clone()).collect();
-    let subject = scene.subject(0, &all)?;
-    let drawn = scene.drawn(0)?.seen_by(&all[0]);
+    let drawn = scene.drawn(0)?.seen_by(&cameras[0].1);
     let in_file: Vec<Camera> = views.iter().map(|view| view.camera.clone()).collect();
     let order = Subject::inner_first(&in_file);
     if let Some(start) = subject.first_shown(order.iter().map(|&i| &in_file[i]), &drawn) {
         views[..=order[start]].rotate_right(1);
     }
-    Ok(Some(write_views(&views)))
+    Ok(views)
 }
 
 /// The axis along which the cameras stand upright; unknown where none is near.

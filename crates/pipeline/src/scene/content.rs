@@ -8,7 +8,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use tcgs_codec::{FileCamera, Loss, SceneInfo};
-use tcgs_core::{Drawable, DynamicGaussians, Gaussians, Lives};
+use tcgs_core::{Drawable, DynamicGaussians, Gaussians, Lives, Trust};
 use tcgs_interchange::{Axes, ReadNote};
 use tcgs_train::TrainError;
 
@@ -74,6 +74,10 @@ pub(crate) trait SceneContent: Debug + Send + Sync {
 
     fn cameras(&self) -> Result<Vec<FileCamera>, PipelineError> {
         Ok(Vec::new())
+    }
+
+    fn trust(&self) -> Result<Option<Trust>, PipelineError> {
+        Ok(None)
     }
 
     fn light(&self, _timestep: usize) -> [f32; 3] {

@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use std::{fs, io};
 
 use tcgs_codec::{FileCamera, Loss, UpAxis};
+use tcgs_core::Trust;
 use tcgs_interchange::{Axes, ReadNote};
 
 use crate::{OpenScene, PipelineError};
@@ -21,6 +22,14 @@ impl OpenScene {
     /// [`PipelineError::Decode`] if the file cannot be read.
     pub fn cameras(&self) -> Result<Vec<FileCamera>, PipelineError> {
         self.content.cameras()
+    }
+
+    /// From where pictures can be trusted, as a `.tcgs` file says it; none for anything else.
+    ///
+    /// # Errors
+    /// [`PipelineError::Decode`] if the file cannot be read.
+    pub fn trust(&self) -> Result<Option<Trust>, PipelineError> {
+        self.content.trust()
     }
 
     /// The axis that points up, as a `.tcgs` file says it; unknown for anything else.

@@ -164,9 +164,10 @@ impl WebViewer {
     /// Lets time pass and draws once. A page calls this once per animation frame.
     ///
     /// - `now_ms`: as `requestAnimationFrame` gives it
-    /// - returns: `{time, seconds, timestep, playing, buffering, drawn, gaussians, bytesLoaded, width, height}`; `time`
-    ///   is the clock's position in timesteps, `seconds` the same in seconds from the first timestep, and `drawn`
-    ///   whether the picture shows the due timestep with all its splats
+    /// - returns: `{time, seconds, timestep, playing, buffering, drawn, doubt, gaussians, bytesLoaded, width, height}`;
+    ///   `time` is the clock's position in timesteps, `seconds` the same in seconds from the first timestep, `drawn`
+    ///   whether the picture shows the due timestep with all its splats, and `doubt` how little it can be trusted, in
+    ///   [0, 1]
     ///
     /// Throws errors with a `code`. Errors of a scene that is still opening reject the promise of `open` instead.
     pub fn frame(&self, now_ms: f64) -> Result<JsValue, JsValue> {
@@ -261,6 +262,14 @@ impl WebViewer {
     /// Turns the camera on the spot, by radians to the right and down. The scene follows the pointer.
     pub fn look(&self, dx: f64, dy: f64) {
         self.with_controls(|controls| controls.look(dx, dy));
+    }
+
+    /// Moves the camera a part of the way to the nearest position from which pictures can be trusted, as the file says.
+    ///
+    /// - `share`: of the way, in [0, 1]
+    #[wasm_bindgen(js_name = leadBack)]
+    pub fn lead_back(&self, share: f64) {
+        self.state.borrow_mut().viewer.lead_back(share);
     }
 
     /// Moves the camera back to the start view.
@@ -362,6 +371,7 @@ impl ViewerState {
             ("playing", frame.is_some_and(|frame| frame.is_playing).into()),
             ("buffering", frame.is_none_or(|frame| frame.is_buffering).into()),
             ("drawn", frame.is_some_and(|frame| frame.is_drawn).into()),
+            ("doubt", frame.map_or(0.0, |frame| frame.doubt).into()),
             ("gaussians", gaussians.into()),
             ("bytesLoaded", (self.viewer.bytes_loaded() as f64).into()),
             ("width", (self.size[0] as u32).into()),

@@ -9,9 +9,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tcgs_codec::{
     CompactFile, DecodeError, DecodeLimits, FOREGROUND, FileCamera, Light, Loss, SceneFile, SceneInfo, SegmentCache,
-    read_labels, read_views,
+    read_labels, read_trust, read_views,
 };
-use tcgs_core::{Gaussians, Layout, SceneReader, open_file};
+use tcgs_core::{Gaussians, Layout, SceneReader, Trust, open_file};
 
 use crate::PipelineError;
 use crate::scene::open::{CutFiles, SceneKind, expected};
@@ -121,6 +121,11 @@ impl SceneContent for FileContent {
     fn cameras(&self) -> Result<Vec<FileCamera>, PipelineError> {
         let data = self.file().application_data();
         self.decoded(data.map(|data| read_views(&data)))
+    }
+
+    fn trust(&self) -> Result<Option<Trust>, PipelineError> {
+        let data = self.file().application_data();
+        self.decoded(data.map(|data| read_trust(&data)))
     }
 
     fn light(&self, timestep: usize) -> [f32; 3] {
