@@ -27,11 +27,12 @@ pub fn catch() -> anyhow::Result<()> {
     #[cfg(unix)]
     let is_detached = unix::prepare();
     let handler = || {
+        let is_again = ASKED.swap(true, Ordering::SeqCst);
         // The children end here: a thread that waits for a hanging child could not end.
         tcgs_capture::end_programs();
         #[cfg(unix)]
         unix::terminate(STEP.load(Ordering::SeqCst));
-        if ASKED.swap(true, Ordering::SeqCst) || !IS_POLITE.load(Ordering::SeqCst) {
+        if is_again || !IS_POLITE.load(Ordering::SeqCst) {
             end();
         }
         note("ending cleanly; Ctrl-C again ends at once");
@@ -65,9 +66,13 @@ pub fn be_polite(is_polite: bool) {
     IS_POLITE.store(is_polite, Ordering::SeqCst);
 }
 
-/// Sets the child that signals are passed on to, until the next call.
+/// Sets the child that signals are passed on to, until the next call. A signal that came before ends it at once.
 pub fn pass_on_to(child: Option<&Child>) {
     STEP.store(child.map_or(0, Child::id), Ordering::SeqCst);
+    #[cfg(unix)]
+    if ASKED.load(Ordering::SeqCst) {
+        unix::terminate(STEP.load(Ordering::SeqCst));
+    }
 }
 
 /// Whether to continue: `Break` after a signal.

@@ -115,7 +115,7 @@ fn what_is_out_of_reach_leaves_nothing() {
 }
 
 #[test]
-fn a_file_says_which_way_is_up_and_where_cameras_stood() {
+fn a_file_says_which_way_is_up_where_cameras_stood_and_what_they_saw() {
     let folder = tempdir().unwrap();
     let run = train(&folder, "run", &[]);
     let out = folder.path().join("a.tcgs");
@@ -131,11 +131,17 @@ fn a_file_says_which_way_is_up_and_where_cameras_stood() {
     let found = data(&["--up", "z", "--views", "3"]);
     let said = succeed(&["info", text(&out)]);
     assert!(said.contains("\nup            z\n") && said.contains("application data: tcgs.views, "), "{said}");
-    let [(name, views)] = &found[..] else { panic!("{found:?}") };
+    let [(name, views), (name_of_trust, trust)] = &found[..] else { panic!("{found:?}") };
     let views = views["views"].as_array().unwrap();
-    assert_eq!((&name[..], views.len()), ("tcgs.views", 3));
+    assert_eq!((&name[..], views.len(), &name_of_trust[..]), ("tcgs.views", 3, "tcgs.trust"));
+    assert!(said.contains("\ntrust: pictures from "), "{said}");
+    assert_keys(trust, &["center", "distances", "between", "directions"]);
     let capture = tcgs_capture::Capture::open(capture()).unwrap();
     let cameras = capture.cameras(tcgs_capture::Split::Train, 0, 1).unwrap();
+    // Every training camera is trusted, also those that are no view.
+    let trust = tcgs_codec::read_trust(&[(name_of_trust.clone(), trust.to_string().into_bytes())]).unwrap();
+    assert_eq!(trust.directions().len(), cameras.len());
+    assert!(cameras.iter().all(|(_, camera)| trust.doubt(camera.center()) == 0.0));
     // A player starts with the first camera; the others follow in the capture's order.
     let place =
         |view: &Value| cameras.iter().position(|(id, _)| view["name"].as_str() == Some(&id.to_string())).unwrap();
