@@ -80,7 +80,7 @@ enum Files {
     Ply,
     /// Compressed PLY of SuperSplat
     CompressedPly,
-    /// SPZ, version 4
+    /// SPZ, version 3
     Spz,
     /// glTF with KHR_gaussian_splatting
     Glb,

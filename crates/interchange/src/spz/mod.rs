@@ -1,4 +1,4 @@
-//! One SPZ file of Niantic, versions 2 to 4: one timestep. Version 4 is written, too (`write`).
+//! One SPZ file of Niantic, versions 2 to 4: one timestep. Version 3 is written, too (`write`).
 //! What does not live here: what the bytes of the arrays mean (`unpack`).
 //!
 //! A header of 16 bytes, little-endian, in versions 2 and 3 the start of a gzip stream, in version 4 plain and followed

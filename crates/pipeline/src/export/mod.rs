@@ -30,7 +30,7 @@ pub enum TimestepKind {
     Ply,
     /// Compressed PLY of `SuperSplat`.
     CompressedPly,
-    /// SPZ, version 4.
+    /// SPZ, version 3.
     Spz,
     /// glTF with `KHR_gaussian_splatting`, in one file.
     Glb,
