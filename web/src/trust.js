@@ -43,7 +43,7 @@ export function trust(player, on) {
   const isScene = (event) => event.target.id === "canvas";
   window.addEventListener("pointerdown", (event) => isScene(event) && down.add(event.pointerId));
   for (const type of ["pointerup", "pointercancel"]) window.addEventListener(type, (event) => end(event.pointerId));
-  window.addEventListener("keydown", (event) => MOVES.test(event.code) && !event.ctrlKey && !event.metaKey && down.add(event.code));
+  window.addEventListener("keydown", ({ code, ctrlKey, metaKey }) => MOVES.test(code) && !ctrlKey && !metaKey && down.add(code));
   window.addEventListener("keyup", (event) => end(event.code));
   window.addEventListener("blur", () => {
     down.clear();

@@ -20,8 +20,8 @@ use crate::{CaptureError, Origin, kinds, points_in_view};
 
 /// Least share of points with a measured depth for good pictures from between the cameras.
 pub const MOSTLY_MEASURED: f64 = 0.5;
-/// Largest angle between two cameras between which pictures are good, radians: 60 degrees. Stereo compares no two cameras
-/// that are much farther apart.
+/// Largest angle between two cameras between which pictures are good, radians: 60 degrees. Stereo does not compare
+/// cameras that are much farther apart.
 const BETWEEN: f64 = 60.0 / 180.0 * PI;
 
 /// Selects the training cameras, the test cameras, or both.

@@ -10,8 +10,8 @@ const ASIDE: f64 = Trust::ASIDE_DEGREES / 180.0 * PI;
 const SAME: f64 = 5.0 / 180.0 * PI;
 /// Most directions that are kept.
 const MAX_DIRECTIONS: usize = 64;
-/// Nearest and farthest trusted distances, in distances of the nearest and of the farthest camera. What is much nearer
-/// shows single Gaussians, what is much farther what stood behind the cameras.
+/// Nearest and farthest trusted distances, in distances of the nearest and of the farthest camera. Much nearer views
+/// show single Gaussians, much farther ones the space behind the cameras.
 const NEARER: f64 = 0.4;
 const FARTHER: f64 = 1.25;
 /// Beyond a trusted direction [`Trust::doubt`] reaches 1 at this angle, radians: 25 degrees.
@@ -21,9 +21,9 @@ const FADE_FACTOR: f64 = 2.0;
 
 /// The positions from which pictures of a scene can be trusted.
 ///
-/// A position is trusted if its direction from [`Self::center`] is at most 10 degrees from the direction of a camera,
-/// from the arc between two cameras, or from the triangle between three, as long as any two of these are at most
-/// [`Self::between`] apart. Its distance may be 0.4 of the nearest camera's to 1.25 of the farthest camera's.
+/// A position is trusted if its direction from [`Self::center`] is at most 10 degrees from a camera's, from the arc
+/// between two cameras, or from the triangle between three. Arcs and triangles count if any two of their cameras are at
+/// most [`Self::between`] apart. The distance may be 0.4 of the nearest camera's to 1.25 of the farthest camera's.
 ///
 /// ```
 /// use tcgs_core::{Camera, Trust};
@@ -108,8 +108,10 @@ impl Trust {
         self.between
     }
 
-    /// How little a picture from a position can be trusted: 0 where it can be, 1 from 25 degrees beyond on, or at half of
-    /// the nearest or twice the farthest trusted distance.
+    /// How little a picture from a position can be trusted, in `[0, 1]`.
+    ///
+    /// It is 0 at trusted positions. It reaches 1 at 25 degrees beyond, and at half of the nearest or twice the farthest
+    /// trusted distance.
     ///
     /// - `position`: world, scene units
     pub fn doubt(&self, position: [f64; 3]) -> f64 {

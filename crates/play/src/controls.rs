@@ -281,7 +281,7 @@ mod tests {
         assert!(length(sub(camera.center(), to)) < 1e-9 && is_rotation(&camera));
         let [x, y] = seen(&camera, PIVOT);
         assert!((x - 32.0).abs() < 1e-9 && (y - 24.0).abs() < 1e-9, "{x} {y}");
-        // What stands above the pivot is above it in the picture.
+        // A point above the pivot is above it in the picture.
         let [above_x, above_y] = seen(&camera, add_scaled(PIVOT, 0.1, UP));
         assert!((above_x - x).abs() < 1e-9 && above_y < y, "{above_x} {above_y}");
         // There is no upright picture from straight above.

@@ -71,7 +71,7 @@ pub struct FrameReport {
     pub is_buffering: bool,
     /// Whether the picture shows the due timestep, with all its splats.
     pub is_drawn: bool,
-    /// How little the picture can be trusted, in `[0, 1]`, as [`Trust::doubt`] says; 0 for files that say nothing of it.
+    /// How little the picture can be trusted, in `[0, 1]` ([`Trust::doubt`]); 0 for files that do not say it.
     pub doubt: f64,
 }
 

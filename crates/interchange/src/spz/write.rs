@@ -1,4 +1,5 @@
-//! Writes an SPZ file of version 3, which more programs read than version 4, and which is smaller. Its bytes are those of the tables of `spz` and `unpack`.
+//! Writes an SPZ file of version 3. More programs read it than version 4, and it is smaller. Its bytes are those of the
+//! tables of `spz` and `unpack`.
 
 use std::f64::consts::SQRT_2;
 use std::io::{self, ErrorKind, Write};

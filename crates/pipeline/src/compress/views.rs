@@ -1,5 +1,5 @@
-//! What a file says of the cameras of its training, as application data (`docs/FORMAT.md`): views to start from, and from
-//! where pictures can be trusted.
+//! Application data about the training cameras (`docs/FORMAT.md`): views to start from, and the positions from which
+//! pictures can be trusted.
 
 use std::path::Path;
 
@@ -33,8 +33,8 @@ impl TrainedFrom {
         }
     }
 
-    /// What a file says of the cameras: some of them, spread evenly, and from where pictures can be trusted. Empty
-    /// without cameras.
+    /// Application data: some of the cameras, spread evenly, and from where pictures can be trusted. Empty without
+    /// cameras.
     pub fn data(&self, scene: &OpenScene, options: &CompressOptions) -> Result<Vec<(String, Vec<u8>)>, PipelineError> {
         let Some(capture) = self.capture.as_ref().filter(|_| options.views > 0 && !self.cameras.is_empty()) else {
             return Ok(Vec::new());
@@ -47,8 +47,8 @@ impl TrainedFrom {
     }
 }
 
-/// Some of the cameras, spread evenly. A player begins at the first: the innermost camera that shows the scene's subject,
-/// at the first timestep, without fog.
+/// Some of the cameras, spread evenly. A player begins at the first: the innermost camera that shows the scene's
+/// subject, at the first timestep, without fog.
 fn views(
     scene: &OpenScene,
     cameras: &[(usize, Camera)],

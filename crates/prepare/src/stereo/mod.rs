@@ -77,7 +77,7 @@ const MAX_COST_OF_TWO: f32 = 0.3;
 /// Least number of connected pixels with depths on which two cameras agree, where no camera can be compared with two.
 const MIN_PIXELS: usize = 16;
 /// Least radius of the shell, over the distance of the farthest camera from the middle of all, where no camera can be
-/// compared with two: their points lie between the cameras and tell nothing of walls.
+/// compared with two. The points of such cameras lie between them, and walls lie behind.
 const BEHIND_CAMERAS: f32 = 1.5;
 /// Factors of the smallest and the largest confirmed inverse depth at the coarsest level, which bound the background.
 const RANGE_MARGIN: [f32; 2] = [0.6, 1.6];
