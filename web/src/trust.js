@@ -43,7 +43,8 @@ export function trust(player, on) {
   const isScene = (event) => event.target.id === "canvas";
   window.addEventListener("pointerdown", (event) => isScene(event) && down.add(event.pointerId));
   for (const type of ["pointerup", "pointercancel"]) window.addEventListener(type, (event) => end(event.pointerId));
-  window.addEventListener("keydown", ({ code, ctrlKey, metaKey }) => MOVES.test(code) && !ctrlKey && !metaKey && down.add(code));
+  const moves = ({ code, ctrlKey, metaKey }) => MOVES.test(code) && !ctrlKey && !metaKey;
+  window.addEventListener("keydown", (event) => moves(event) && down.add(event.code));
   window.addEventListener("keyup", (event) => end(event.code));
   window.addEventListener("blur", () => {
     down.clear();

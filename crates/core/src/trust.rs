@@ -110,8 +110,8 @@ impl Trust {
 
     /// How little a picture from a position can be trusted, in `[0, 1]`.
     ///
-    /// It is 0 at trusted positions. It reaches 1 at 25 degrees beyond, and at half of the nearest or twice the farthest
-    /// trusted distance.
+    /// It is 0 at trusted positions. It reaches 1 at 25 degrees beyond, and at half of the nearest or twice the
+    /// farthest trusted distance.
     ///
     /// - `position`: world, scene units
     pub fn doubt(&self, position: [f64; 3]) -> f64 {

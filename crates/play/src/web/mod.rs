@@ -165,9 +165,9 @@ impl WebViewer {
     ///
     /// - `now_ms`: as `requestAnimationFrame` gives it
     /// - returns: `{time, seconds, timestep, playing, buffering, drawn, doubt, gaussians, bytesLoaded, width, height}`;
-    ///   `time` is the clock's position in timesteps, and `seconds` the same in seconds from the first timestep. `drawn`
-    ///   says whether the picture shows the due timestep with all its splats, `doubt` how little it can be trusted, in
-    ///   [0, 1]
+    ///   `time` is the clock's position in timesteps, and `seconds` the same in seconds from the first timestep.
+    ///   `drawn` says whether the picture shows the due timestep with all its splats, `doubt` how little it can be
+    ///   trusted, in [0, 1]
     ///
     /// Throws errors with a `code`. Errors of a scene that is still opening reject the promise of `open` instead.
     pub fn frame(&self, now_ms: f64) -> Result<JsValue, JsValue> {

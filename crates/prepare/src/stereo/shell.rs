@@ -34,8 +34,8 @@ impl Shell {
 
     /// Fits a shell to points of the background.
     ///
-    /// - `min_radius`: least radius of a shell that is no sphere through points, in distances of the farthest camera from
-    ///   the middle of all
+    /// - `min_radius`: least radius of a shell that is no sphere through points, in distances of the farthest camera
+    ///   from the middle of all
     pub fn fit(vantages: &[Vantage], points: &[[f32; 3]], min_radius: f32) -> Self {
         let middle = mean(vantages.iter().map(|vantage| vantage.pinhole.center));
         let spread = vantages.iter().map(|v| distance(v.pinhole.center, middle)).fold(0.0, f32::max);
