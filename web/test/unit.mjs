@@ -34,10 +34,10 @@ test("a training is told in a line", () => {
 test("addresses say what to show, and nonsense says nothing", () => {
   const nothing = readParams("");
   assert.deepEqual(
-    [nothing.src, nothing.autoplay, nothing.loop, nothing.controls, nothing.speed, nothing.timestep, nothing.view],
-    [null, true, true, true, 1, 0, null],
+    [nothing.src, nothing.autoplay, nothing.loop, nothing.controls, nothing.trust, nothing.speed, nothing.timestep, nothing.view],
+    [null, true, true, true, true, 1, 0, null],
   );
-  const all = readParams("?src=a%20b.tcgs&cameras=c.json&autoplay=0&loop=false&controls=off&speed=0.5&timestep=7&view=0&theme=dark&quality=fixed&dpr=1");
+  const all = readParams("?src=a%20b.tcgs&cameras=c.json&autoplay=0&loop=false&controls=off&trust=0&speed=0.5&timestep=7&view=0&theme=dark&quality=fixed&dpr=1");
   assert.deepEqual(all, {
     src: "a b.tcgs",
     cameras: "c.json",
@@ -45,6 +45,7 @@ test("addresses say what to show, and nonsense says nothing", () => {
     loop: false,
     controls: false,
     stats: false,
+    trust: false,
     speed: 0.5,
     timestep: 7,
     view: 0,
