@@ -1,5 +1,6 @@
 // Shows where pictures cannot be trusted, and leads the camera back after a move: the file says from where they can be.
 
+import { isTyping } from "./input.js";
 import { element } from "./ui.js";
 
 /** Part of the way back that is left after a second. */
@@ -43,7 +44,7 @@ export function trust(player, on) {
   const isScene = (event) => event.target.id === "canvas";
   window.addEventListener("pointerdown", (event) => isScene(event) && down.add(event.pointerId));
   for (const type of ["pointerup", "pointercancel"]) window.addEventListener(type, (event) => end(event.pointerId));
-  const moves = ({ code, ctrlKey, metaKey }) => MOVES.test(code) && !ctrlKey && !metaKey;
+  const moves = (event) => MOVES.test(event.code) && !isTyping(event);
   window.addEventListener("keydown", (event) => moves(event) && down.add(event.code));
   window.addEventListener("keyup", (event) => end(event.code));
   window.addEventListener("blur", () => {
