@@ -425,13 +425,14 @@ export class Player extends EventTarget {
     if (this.#opening && this.#viewer) return this.#watch(now);
     if (!this.info || this.#replacing) return;
     const incomplete = this.state === null || this.state.buffering || !this.state.drawn;
-    const moving = incomplete || this.playing || now - this.#changed < SETTLE_MS;
+    // What is incomplete does not move: with another number of pixels it would be incomplete again, for ever.
+    const moving = this.playing || now - this.#changed < SETTLE_MS;
     if (this.#viewer.pending() > (moving ? MAX_PENDING : 0)) return this.#wait(now);
     if (!moving && this.#still >= STILL_FRAMES) return this.#rest();
     const fixed = this.#options.quality === "fixed" || this.#capturing;
     if (!fixed && moving && this.#last !== null) this.#resolution.frame(now - this.#last);
     this.#resize(fixed || !moving ? 1 : this.#resolution.scale);
-    this.#still = moving ? 0 : this.#still + 1;
+    this.#still = moving || incomplete ? 0 : this.#still + 1;
     this.#last = now;
     this.#draw(now);
   };

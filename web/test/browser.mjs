@@ -516,11 +516,27 @@ test("a browser without WebGPU and WebGL2 is told so", async (t) => {
 });
 
 test("a slow device draws fewer pixels while things move, all of them at rest", async (t) => {
-  const page = await open(t, "stats=1&dpr=1", { viewport: { width: 1000, height: 600 } });
-  await page.waitForFunction(() => parseInt(document.querySelector("#stat-size").textContent) < 900);
-  await page.keyboard.press("Space");
-  await page.waitForFunction(() => document.querySelector("#stat-size").textContent === "1000 × 600");
-  await settled(page);
+  const slow = () => {
+    const next = window.requestAnimationFrame.bind(window);
+    const share = () => document.querySelector("#canvas").width / 1000;
+    window.requestAnimationFrame = (draw) => next((now) => setTimeout(draw, 60 * share() ** 2, now));
+  };
+  for (const [query, script] of [["", undefined], ["&renderer=webgl2", slow]]) {
+    const page = await open(t, `stats=1&dpr=1${query}`, { viewport: { width: 1000, height: 600 }, script });
+    await page.waitForFunction(() => parseInt(document.querySelector("#stat-size").textContent) < 900);
+    await page.evaluate(() => {
+      const canvas = document.querySelector("#canvas");
+      window.widths = [];
+      const note = () => window.widths.push(canvas.width);
+      new MutationObserver(note).observe(canvas, { attributes: true, attributeFilter: ["width"] });
+    });
+    await page.keyboard.press("Space");
+    await page.waitForFunction(() => document.querySelector("#stat-size").textContent === "1000 × 600");
+    await settled(page);
+    const widths = await page.evaluate(() => window.widths);
+    const sharp = widths.slice(widths.indexOf(1000));
+    assert.ok(sharp.length > 0 && sharp.every((width) => width === 1000), `once sharp it stays sharp: ${widths}`);
+  }
 });
 
 test("another page embeds the player and speaks with it", async (t) => {
