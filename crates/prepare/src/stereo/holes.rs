@@ -1,12 +1,9 @@
 //! Closes what no training image shows, by the shell in the colours around: holes that cameras between the training
 //! cameras see, and all directions outside of the images.
 
-use rayon::prelude::*;
 use tcgs_core::{Camera, Pinhole, PointCloud, cameras_between, squared_distance};
 
-use super::{
-    BLOCK_PX, MAX_HIDDEN_FROM, StereoSettings, block_of, fuse::Point, median, num_blocks, shell::Shell, thin, unmet,
-};
+use super::{BLOCK_PX, StereoSettings, fuse::Point, median, shell::Shell, thin, unmet};
 
 /// Cameras between the training cameras.
 const NUM_BETWEEN: usize = 64;
@@ -19,12 +16,9 @@ const NUM_SAMPLES: usize = 2000;
 /// Number of the nearest among them whose median colour is taken.
 const NUM_NEAREST: usize = 8;
 
-/// A point of the shell hides points that are so much farther away.
-const BEHIND: f32 = 1.1;
-
 /// Adds what given points lack to points that [`stereo_points`](super::stereo_points) makes: a sphere around the scene,
-/// and its floor, where neither the training cameras nor cameras between them meet a point. No training image shows most
-/// of these places. Without points there, pictures from other cameras are black there.
+/// and its floor, in directions that no training image shows: where cameras between the training cameras meet no point,
+/// and outside of all images. Without points there, pictures from other cameras are black there.
 ///
 /// - `cloud`: at least one point
 /// - `cameras`: of the training images
@@ -42,17 +36,9 @@ pub fn close_holes(cloud: &PointCloud, cameras: &[Camera]) -> PointCloud {
     let positions: Vec<[f32; 3]> = background.iter().map(|point| point.position).collect();
     let shell = Shell::fit(&pinholes, &positions, 0.0);
 
-    let depths: Vec<Vec<f32>> = pinholes.par_iter().map(|pinhole| nearest_depths(pinhole, &points)).collect();
-    let hides_in = |pinhole: &Pinhole<f32>, depths: &[f32], position: [f32; 3]| {
-        let met = pinhole.pixel(position).map(|(pixel, depth)| (depths[block_of(pinhole, pixel)], depth));
-        met.is_some_and(|(nearest, depth)| nearest.is_finite() && nearest > BEHIND * depth)
-    };
-    let is_behind = |point: &Point| {
-        pinholes.iter().zip(&depths).filter(|(pinhole, depths)| hides_in(pinhole, depths, point.position)).count()
-            <= MAX_HIDDEN_FROM
-    };
     let mut between = between_ends(&between(cameras, factor), std::slice::from_ref(&points), &shell);
-    between.retain(is_behind);
+    // What a training image shows is left to the given points and to density control.
+    between.retain(|point| pinholes.iter().all(|pinhole| pinhole.pixel(point.position).is_none()));
     let outside = outside_ends(&pinholes, &shell, points.len());
     let mut closed = cloud.clone();
     for Point { position, color, .. } in colored(between, outside, &[background], points.len()) {
@@ -61,16 +47,6 @@ pub fn close_holes(cloud: &PointCloud, cameras: &[Camera]) -> PointCloud {
         closed.foreground.push(all_move);
     }
     closed
-}
-
-/// Depth of the nearest point in each block of a camera's pixels; infinite without a point.
-fn nearest_depths(pinhole: &Pinhole<f32>, points: &[Point]) -> Vec<f32> {
-    let mut depths = vec![f32::INFINITY; num_blocks(pinhole)];
-    for (pixel, depth) in points.iter().filter_map(|point| pinhole.pixel(point.position)) {
-        let nearest = &mut depths[block_of(pinhole, pixel)];
-        *nearest = nearest.min(depth);
-    }
-    depths
 }
 
 /// Cameras between others, with images downscaled by a whole factor.

@@ -453,24 +453,15 @@ impl Stereo {
 
 /// Pixels of a camera that no point falls near: none into the pixel's block.
 fn unmet(pinhole: &Pinhole<f32>, points: &[Vec<Point>]) -> Vec<usize> {
-    let block = |pixel: usize| block_of(pinhole, pixel);
-    let mut met = vec![false; num_blocks(pinhole)];
+    let across = pinhole.width.div_ceil(BLOCK_PX);
+    let block = |pixel: usize| pixel / pinhole.width / BLOCK_PX * across + pixel % pinhole.width / BLOCK_PX;
+    let mut met = vec![false; across * pinhole.height.div_ceil(BLOCK_PX)];
     for point in points.iter().flatten() {
         if let Some((pixel, _)) = pinhole.pixel(point.position) {
             met[block(pixel)] = true;
         }
     }
     (0..pinhole.width * pinhole.height).filter(|&pixel| !met[block(pixel)]).collect()
-}
-
-/// Number of a camera's blocks of pixels.
-fn num_blocks(pinhole: &Pinhole<f32>) -> usize {
-    pinhole.width.div_ceil(BLOCK_PX) * pinhole.height.div_ceil(BLOCK_PX)
-}
-
-/// The block of a pixel.
-fn block_of(pinhole: &Pinhole<f32>, pixel: usize) -> usize {
-    pixel / pinhole.width / BLOCK_PX * pinhole.width.div_ceil(BLOCK_PX) + pixel % pinhole.width / BLOCK_PX
 }
 
 /// Median, channel by channel; black without colours.
