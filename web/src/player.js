@@ -425,10 +425,10 @@ export class Player extends EventTarget {
     if (this.#opening && this.#viewer) return this.#watch(now);
     if (!this.info || this.#replacing) return;
     const incomplete = this.state === null || this.state.buffering || !this.state.drawn;
-    // What is incomplete does not move: with another number of pixels it would be incomplete again, for ever.
+    // A picture of another size begins incomplete. If that counted as moving, the size would change again and again.
     const moving = this.playing || now - this.#changed < SETTLE_MS;
     if (this.#viewer.pending() > (moving ? MAX_PENDING : 0)) return this.#wait(now);
-    if (!moving && this.#still >= STILL_FRAMES) return this.#rest();
+    if (!moving && !incomplete && this.#still >= STILL_FRAMES) return this.#rest();
     const fixed = this.#options.quality === "fixed" || this.#capturing;
     if (!fixed && moving && this.#last !== null) this.#resolution.frame(now - this.#last);
     this.#resize(fixed || !moving ? 1 : this.#resolution.scale);
