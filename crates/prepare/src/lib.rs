@@ -5,7 +5,8 @@
 //! - [`find_cameras`] has COLMAP place the cameras of a description, [`refine_cameras`] mends a calibration,
 //!   [`balance_colors`] measures how the cameras differ in exposure and white balance.
 //! - [`make_masks`] marks what moves in a capture without masks.
-//! - [`stereo_points`] makes initial points by multi-view stereo, for a capture that has none.
+//! - [`stereo_points`] makes initial points by multi-view stereo, for a capture that has none;
+//!   [`close_holes`] adds to given points what no image shows.
 //! - [`check`] looks for wrong cameras, masks and clocks.
 //!
 //! What lives here: everything that makes a capture from footage, or examines one. What does not: the readers of
@@ -29,4 +30,4 @@ pub use rig::{
     ColorBalance, FoundCameras, Refinement, balance_colors, find_cameras, has_colmap, moving_cameras, refine_cameras,
     scale_cameras,
 };
-pub use stereo::{StereoSettings, spread_points, stereo_points};
+pub use stereo::{StereoSettings, close_holes, spread_points, stereo_points};

@@ -6,9 +6,11 @@ mod folder;
 mod ready;
 mod settings;
 
+use std::borrow::Cow;
 use std::path::Path;
 
 use tcgs_capture::{Capture, Split};
+use tcgs_prepare::close_holes;
 use tcgs_train::{TrainConfig, Trainer};
 
 use crate::{Backend, PipelineError, capture_for};
@@ -27,9 +29,14 @@ pub fn new_trainer(config: &TrainConfig, capture: &Capture, backend: &Backend) -
     let capture = capture_for(config, capture)?;
     let cameras = capture.cameras(Split::Train, config.data.first_frame, config.data.downscale)?;
     let cameras: Vec<_> = cameras.into_iter().map(|(_, camera)| camera).collect();
-    let cloud = match config.data.points.as_str() {
-        "" => capture.point_cloud()?,
-        points => capture.into_owned().with_points(Path::new(points))?.point_cloud()?,
+    let capture = match config.data.points.as_str() {
+        "" => capture,
+        points => Cow::Owned(capture.into_owned().with_points(Path::new(points))?),
     };
+    let mut cloud = capture.point_cloud()?;
+    // Points of `tcgs prepare` leave nothing open. A removal without a measured error would remove what no view shows.
+    if capture.measured_share()?.is_none() && config.densify.prune_error > 0.0 {
+        cloud = close_holes(&cloud, &cameras);
+    }
     Ok(Trainer::with_engine(config, &cloud, &cameras, |state| backend.engine(state))?)
 }

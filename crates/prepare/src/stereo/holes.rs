@@ -1,9 +1,9 @@
 //! Closes what no training image shows, by the shell in the colours around: holes that cameras between the training
 //! cameras see, and all directions outside of the images.
 
-use tcgs_core::{Camera, Pinhole, View, cameras_between, squared_distance};
+use tcgs_core::{Camera, Pinhole, PointCloud, cameras_between, squared_distance};
 
-use super::{BLOCK_PX, fuse::Point, median, shell::Shell, thin, unmet, vantage::Vantage};
+use super::{BLOCK_PX, StereoSettings, fuse::Point, median, shell::Shell, thin, unmet};
 
 /// Cameras between the training cameras.
 const NUM_BETWEEN: usize = 64;
@@ -16,10 +16,42 @@ const NUM_SAMPLES: usize = 2000;
 /// Number of the nearest among them whose median colour is taken.
 const NUM_NEAREST: usize = 8;
 
-/// Cameras between those of the training views, with images downscaled by a whole factor.
-pub(super) fn between(views: &[View], factor: usize) -> Vec<Pinhole<f32>> {
-    let cameras: Vec<Camera> = views.iter().map(|view| view.camera.clone()).collect();
-    cameras_between(&cameras, 0..NUM_BETWEEN).iter().map(|camera| Pinhole::new(&camera.downscaled(factor))).collect()
+/// Adds what given points lack to points that [`stereo_points`](super::stereo_points) makes: a sphere around the scene,
+/// and its floor, in directions that no training image shows: where cameras between the training cameras meet no point,
+/// and outside of all images. Without points there, pictures from other cameras are black there.
+///
+/// - `cloud`: at least one point
+/// - `cameras`: of the training images
+/// - returns: the points, and then the added ones in the colours of the nearest background. They are foreground only if
+///   all points are
+#[must_use]
+pub fn close_holes(cloud: &PointCloud, cameras: &[Camera]) -> PointCloud {
+    let widest = cameras.iter().map(|camera| camera.width).max().unwrap_or(1);
+    let factor = widest.div_ceil(StereoSettings::default().image_width).max(1);
+    let pinholes: Vec<Pinhole<f32>> = cameras.iter().map(|camera| Pinhole::new(&camera.downscaled(factor))).collect();
+    let all_move = cloud.foreground.iter().all(|&foreground| foreground);
+    let point = |i: usize| Point { position: cloud.points[i], color: cloud.colors[i], foreground: cloud.foreground[i] };
+    let points: Vec<Point> = (0..cloud.points.len()).map(point).collect();
+    let background: Vec<Point> = points.iter().filter(|point| all_move || !point.foreground).cloned().collect();
+    let positions: Vec<[f32; 3]> = background.iter().map(|point| point.position).collect();
+    let shell = Shell::fit(&pinholes, &positions, 0.0);
+
+    let mut between = between_ends(&between(cameras, factor), std::slice::from_ref(&points), &shell);
+    // What a training image shows is left to the given points and to density control.
+    between.retain(|point| pinholes.iter().all(|pinhole| pinhole.pixel(point.position).is_none()));
+    let outside = outside_ends(&pinholes, &shell, points.len());
+    let mut closed = cloud.clone();
+    for Point { position, color, .. } in colored(between, outside, &[background], points.len()) {
+        closed.points.push(position);
+        closed.colors.push(color);
+        closed.foreground.push(all_move);
+    }
+    closed
+}
+
+/// Cameras between others, with images downscaled by a whole factor.
+pub(super) fn between(cameras: &[Camera], factor: usize) -> Vec<Pinhole<f32>> {
+    cameras_between(cameras, 0..NUM_BETWEEN).iter().map(|camera| Pinhole::new(&camera.downscaled(factor))).collect()
 }
 
 /// The ends of rays of cameras that meet no point, one for each block of pixels.
@@ -43,10 +75,10 @@ pub(super) fn between_ends(cameras: &[Pinhole<f32>], points: &[Vec<Point>], shel
 /// Points of the shell outside of all images, in directions from the middle of the cameras that are spread evenly.
 ///
 /// - `num_points`: of the whole cloud
-pub(super) fn outside_ends(vantages: &[Vantage], shell: &Shell, num_points: usize) -> Vec<Point> {
+pub(super) fn outside_ends(cameras: &[Pinhole<f32>], shell: &Shell, num_points: usize) -> Vec<Point> {
     let num_directions = num_points / POINTS_PER_DIRECTION;
-    let sum = vantages.iter().fold([0.0; 3], |sum: [f32; 3], v| std::array::from_fn(|c| sum[c] + v.pinhole.center[c]));
-    let middle = sum.map(|x| x / vantages.len() as f32);
+    let sum = cameras.iter().fold([0.0; 3], |sum: [f32; 3], at| std::array::from_fn(|c| sum[c] + at.center[c]));
+    let middle = sum.map(|x| x / cameras.len() as f32);
     let end = |i: usize| {
         // A spiral whose turns are golden angles.
         let z = 1.0 - (2 * i + 1) as f32 / num_directions as f32;
@@ -55,7 +87,7 @@ pub(super) fn outside_ends(vantages: &[Vantage], shell: &Shell, num_points: usiz
         let ray = [across * cos, across * sin, z];
         let depth = shell.depth(middle, ray)?;
         let position = std::array::from_fn(|c| middle[c] + depth * ray[c]);
-        let is_outside = vantages.iter().all(|vantage| vantage.pinhole.pixel(position).is_none());
+        let is_outside = cameras.iter().all(|camera| camera.pixel(position).is_none());
         is_outside.then_some(Point { position, color: [0.0; 3], foreground: false })
     };
     (0..num_directions).filter_map(end).collect()

@@ -27,10 +27,11 @@ pub(crate) mod vantage;
 
 use rayon::prelude::*;
 use tcgs_capture::{Capture, Origin, Prepared, Split};
-use tcgs_core::{Pinhole, View, upper_median};
+use tcgs_core::{Camera, Pinhole, View, upper_median};
 
 use crate::PrepareError;
 
+pub use holes::close_holes;
 pub use spread::spread_points;
 
 use fuse::{Belief, Point, Rule, SureDepths, agreed, num_hidden_from};
@@ -222,13 +223,14 @@ impl Stereo {
             factors.insert(0, 2 * factors[0]);
         }
         let all_at = |factor: usize| -> Vec<Vantage> { views.par_iter().map(|v| Vantage::new(v, factor)).collect() };
+        let cameras: Vec<Camera> = views.iter().map(|view| view.camera.clone()).collect();
         let mut stereo = Self {
             vantages: all_at(factors[factors.len() - 1]),
             maps: Vec::new(),
             witnesses: Vec::new(),
             hull: Hull::default(),
             hull_surface: Vec::new(),
-            between: holes::between(views, factors[factors.len() - 1]),
+            between: holes::between(&cameras, factors[factors.len() - 1]),
         };
         report("carving the visual hull");
         let silhouettes: Vec<Silhouette> = stereo
@@ -353,12 +355,13 @@ impl Stereo {
         let foreground = [visible(foreground), visible(self.hull_points())];
         let min_radius = if self.are_pairs() { BEHIND_CAMERAS } else { 0.0 };
         let positions: Vec<[f32; 3]> = background.iter().map(|point| point.position).collect();
-        let shell = Shell::fit(&self.vantages, &positions, min_radius);
+        let pinholes: Vec<Pinhole<f32>> = self.vantages.iter().map(|vantage| vantage.pinhole.clone()).collect();
+        let shell = Shell::fit(&pinholes, &positions, min_radius);
         let background = [visible(background), visible(self.filled(&fused.sure))];
         let mut all = [&foreground[..], &background].concat();
         all.push(visible(self.ended(&all, &shell)));
         let between = visible(holes::between_ends(&self.between, &all, &shell));
-        let outside = holes::outside_ends(&self.vantages, &shell, num_points);
+        let outside = holes::outside_ends(&pinholes, &shell, num_points);
         let holes = holes::colored(between, outside, &all[2..], num_points);
 
         let wanted = if foreground.iter().all(Vec::is_empty) { 0.0 } else { FOREGROUND_SHARE };

@@ -1,8 +1,8 @@
 //! The surroundings of all measured points: a sphere around the scene, and its floor.
 
-use tcgs_core::{cross, distance, dot, length, normalize, sub};
+use tcgs_core::{Pinhole, cross, distance, dot, length, normalize, sub};
 
-use super::{patchmatch::Random, vantage::Vantage};
+use super::patchmatch::Random;
 
 /// RANSAC trials for the floor.
 const NUM_TRIALS: u64 = 300;
@@ -36,9 +36,9 @@ impl Shell {
     ///
     /// - `min_radius`: least radius of a shell that is no sphere through points, in distances of the farthest camera
     ///   from the middle of all
-    pub fn fit(vantages: &[Vantage], points: &[[f32; 3]], min_radius: f32) -> Self {
-        let middle = mean(vantages.iter().map(|vantage| vantage.pinhole.center));
-        let spread = vantages.iter().map(|v| distance(v.pinhole.center, middle)).fold(0.0, f32::max);
+    pub fn fit(cameras: &[Pinhole<f32>], points: &[[f32; 3]], min_radius: f32) -> Self {
+        let middle = mean(cameras.iter().map(|camera| camera.center));
+        let spread = cameras.iter().map(|camera| distance(camera.center, middle)).fold(0.0, f32::max);
         let step = points.len().div_ceil(NUM_JUDGES).max(1);
         let judges: Vec<[f32; 3]> = points.iter().step_by(step).copied().collect();
         let mut distances: Vec<f32> = judges.iter().map(|&point| distance(point, middle)).collect();
@@ -46,14 +46,14 @@ impl Shell {
         let Some(&far) = distances.get(distances.len() * 95 / 100) else {
             return Self { center: middle, radius: UNKNOWN_DISTANCE * 2.0 * spread, floor: None };
         };
-        let floor = find_floor(vantages, &judges, far);
+        let floor = find_floor(cameras, &judges, far);
         let off_floor = |point: &[f32; 3]| {
             floor.is_none_or(|(normal, offset)| (dot(normal, *point) - offset).abs() > 3.0 * THICKNESS * far)
         };
         let rest: Vec<[f32; 3]> = judges.iter().copied().filter(off_floor).collect();
         // Every camera must be inside the sphere. Without such a sphere rays end all around at the far distance.
         let inside = |&(center, radius): &([f32; 3], f32)| {
-            vantages.iter().all(|vantage| distance(vantage.pinhole.center, center) < 1.1 * radius)
+            cameras.iter().all(|camera| distance(camera.center, center) < 1.1 * radius)
         };
         let (center, radius) = find_sphere(&rest).filter(inside).unwrap_or((middle, far.max(min_radius * spread)));
         Self { center, radius, floor }
@@ -88,7 +88,7 @@ fn mean(points: impl Iterator<Item = [f32; 3]>) -> [f32; 3] {
 }
 
 /// The plane with most points on it and all cameras on one side (Fischler and Bolles 1981).
-fn find_floor(vantages: &[Vantage], points: &[[f32; 3]], size: f32) -> Option<([f32; 3], f32)> {
+fn find_floor(cameras: &[Pinhole<f32>], points: &[[f32; 3]], size: f32) -> Option<([f32; 3], f32)> {
     let mut best = (MIN_FLOOR_SHARE * points.len() as f32, None);
     for trial in 0..NUM_TRIALS {
         let mut random = Random::new(1, trial);
@@ -99,13 +99,13 @@ fn find_floor(vantages: &[Vantage], points: &[[f32; 3]], size: f32) -> Option<([
             continue;
         }
         let mut normal = normalize(across);
-        if dot(normal, vantages[0].pinhole.center) < dot(normal, a) {
+        if dot(normal, cameras[0].center) < dot(normal, a) {
             normal = normal.map(|x| -x);
         }
         let offset = dot(normal, a);
-        let above = |vantage: &Vantage| dot(normal, vantage.pinhole.center) > offset + THICKNESS * size;
+        let above = |camera: &Pinhole<f32>| dot(normal, camera.center) > offset + THICKNESS * size;
         let count = points.iter().filter(|&&p| (dot(normal, p) - offset).abs() < THICKNESS * size).count() as f32;
-        if count > best.0 && vantages.iter().all(above) {
+        if count > best.0 && cameras.iter().all(above) {
             best = (count, Some((normal, offset)));
         }
     }

@@ -1,5 +1,5 @@
 use tcgs_capture::{SyntheticSettings, distance_from_surface, write_synthetic};
-use tcgs_core::{dot, normalize};
+use tcgs_core::{PointCloud, distance, dot, normalize};
 
 use super::*;
 
@@ -67,6 +67,17 @@ fn in_images(prepared: &Prepared, capture: &Capture) -> Prepared {
     kept
 }
 
+/// Checks that there are points all around the cameras.
+fn assert_closed(cloud: &PointCloud, cameras: &[Camera]) {
+    let middle = [0, 1, 2].map(|c| cameras.iter().map(|camera| camera.center()[c]).sum::<f64>() / cameras.len() as f64);
+    let rays: Vec<[f64; 3]> =
+        cloud.points.iter().map(|point| normalize(std::array::from_fn(|c| f64::from(point[c]) - middle[c]))).collect();
+    for direction in [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]] {
+        let nearest = rays.iter().map(|ray| dot(*ray, direction)).fold(-1.0, f64::max);
+        assert!(nearest > 0.9, "{direction:?}: {} degrees to the nearest point", nearest.acos().to_degrees());
+    }
+}
+
 #[test]
 fn the_shell_is_closed_in_all_directions() {
     let settings = SyntheticSettings { num_train_cameras: 4, num_test_cameras: 0, ..SyntheticSettings::default() };
@@ -75,17 +86,29 @@ fn the_shell_is_closed_in_all_directions() {
     let cloud = &prepared.cloud;
     let num_outside = cloud.points.len() - in_images(&prepared, &capture).cloud.points.len();
     assert!((20..=80).contains(&num_outside), "{num_outside} of 80 directions are outside of all images");
-    let cameras = capture.cameras(Split::Train, 0, 1).unwrap();
-    let middle =
-        [0, 1, 2].map(|c| cameras.iter().map(|(_, camera)| camera.center()[c]).sum::<f64>() / cameras.len() as f64);
-    let rays: Vec<[f64; 3]> =
-        cloud.points.iter().map(|point| normalize(std::array::from_fn(|c| f64::from(point[c]) - middle[c]))).collect();
-    for direction in [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]] {
-        let nearest = rays.iter().map(|ray| dot(*ray, direction)).fold(-1.0, f64::max);
-        assert!(nearest > 0.9, "{direction:?}: {} degrees to the nearest point", nearest.acos().to_degrees());
-    }
+    let cameras: Vec<Camera> = capture.cameras(Split::Train, 0, 1).unwrap().into_iter().map(|(_, at)| at).collect();
+    assert_closed(cloud, &cameras);
     // Colours of walls, not black.
     assert!(cloud.colors.iter().all(|color| color.iter().sum::<f32>() > 0.1));
+}
+
+#[test]
+fn holes_of_given_points_are_closed_where_no_image_shows_them() {
+    let settings = SyntheticSettings { num_train_cameras: 4, num_test_cameras: 0, ..SyntheticSettings::default() };
+    let (_folder, capture) = synthetic(&settings);
+    let cameras: Vec<Camera> = capture.cameras(Split::Train, 0, 1).unwrap().into_iter().map(|(_, at)| at).collect();
+    let prepared = prepared(&capture, &StereoSettings { num_points: 8000, ..StereoSettings::default() });
+    let given = in_images(&prepared, &capture).cloud;
+    let closed = close_holes(&given, &cameras);
+    let n = given.points.len();
+    assert_eq!((&closed.points[..n], &closed.colors[..n]), (&given.points[..], &given.colors[..]));
+    let added = &closed.points[n..];
+    assert!((20..=n / 20).contains(&added.len()), "{} points added to {n}", added.len());
+    let pinholes: Vec<Pinhole<f32>> = cameras.iter().map(Pinhole::new).collect();
+    assert!(added.iter().all(|&point| pinholes.iter().all(|pinhole| pinhole.pixel(point).is_none())));
+    assert!(closed.foreground[n..].iter().all(|&foreground| !foreground));
+    assert!(closed.colors[n..].iter().all(|color| color.iter().sum::<f32>() > 0.1), "a wall's colours, not black");
+    assert_closed(&closed, &cameras);
 }
 
 #[test]
@@ -232,11 +255,11 @@ fn a_search_without_other_views_believes_nothing() {
 #[test]
 fn the_hull_of_a_ball_is_the_ball() {
     let (radius, center) = (0.3, [0.1, -0.2, 0.05]);
-    let cameras: Vec<tcgs_core::Camera> = (0..12)
+    let cameras: Vec<Camera> = (0..12)
         .map(|i| {
             let angle = f64::from(i) * std::f64::consts::TAU / 12.0;
             let from = [2.0 * angle.cos(), [-1.5, 0.4, 1.0][i as usize % 3], 2.0 * angle.sin()];
-            tcgs_core::Camera::look_at(from, [0.0; 3], [0.0, -1.0, 0.0], 100.0, 96, 96)
+            Camera::look_at(from, [0.0; 3], [0.0, -1.0, 0.0], 100.0, 96, 96)
         })
         .collect();
     let pinholes: Vec<Pinhole<f32>> = cameras.iter().map(Pinhole::new).collect();
@@ -255,7 +278,7 @@ fn the_hull_of_a_ball_is_the_ball() {
     let silhouettes: Vec<Silhouette> =
         pinholes.iter().zip(&masks).map(|(pinhole, mask)| Silhouette { pinhole, mask }).collect();
     let hull = Hull::carve(&silhouettes, 1.5);
-    let distances: Vec<f32> = hull.surface().iter().map(|&p| tcgs_core::distance(p, center)).collect();
+    let distances: Vec<f32> = hull.surface().iter().map(|&p| distance(p, center)).collect();
     let mean = distances.iter().sum::<f32>() / distances.len() as f32;
     assert!(distances.len() > 300 && (mean - radius).abs() < 0.04, "{} cubes, {mean}", distances.len());
     assert!(distances.iter().all(|&d| d < radius + 0.15), "a hull of 12 views reaches little beyond");
@@ -268,7 +291,7 @@ fn the_hull_of_a_ball_is_the_ball() {
 
 #[test]
 fn pixels_that_agree_by_chance_make_no_points() {
-    let camera = tcgs_core::Camera::look_at([0.0; 3], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0], 60.0, 64, 48);
+    let camera = Camera::look_at([0.0; 3], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0], 60.0, 64, 48);
     let pinhole = Pinhole::new(&camera);
     let rule = Rule { same_depth: 0.01, same_place_px: 1.0, min_agreeing: 1, min_pixels: 16 };
     let at = |x: usize, y: usize, depth: f32| {
@@ -291,32 +314,32 @@ fn pixels_that_agree_by_chance_make_no_points() {
 fn the_shell_is_behind_cameras_whose_points_do_not_tell_of_walls() {
     let view = |x: f64, z: f64| View {
         image: tcgs_core::Image::filled(64, 48, 3, 0.5),
-        camera: tcgs_core::Camera::look_at([x, 0.0, z], [0.0; 3], [0.0, -1.0, 0.0], 60.0, 64, 48),
+        camera: Camera::look_at([x, 0.0, z], [0.0; 3], [0.0, -1.0, 0.0], 60.0, 64, 48),
         segmentation: None,
         frame: 0,
         camera_id: 0,
     };
     let views = [view(2.0, 0.0), view(-2.0, 0.0), view(0.0, 2.0), view(0.0, -2.0)];
-    let vantages: Vec<Vantage> = views.iter().map(|view| Vantage::new(view, 1)).collect();
+    let pinholes: Vec<Pinhole<f32>> = views.iter().map(|view| Pinhole::new(&view.camera)).collect();
     // A thing in the middle, which is no sphere.
     let points: Vec<[f32; 3]> =
         (0..200).map(|i| [0.004 * i as f32, 0.1 * (i % 7) as f32, 0.05 * (i % 3) as f32]).collect();
     for (min_radius, expected) in [(1.5, 3.0), (0.0, 0.8)] {
-        let depth = Shell::fit(&vantages, &points, min_radius).depth([0.0; 3], [0.0, -1.0, 0.0]);
+        let depth = Shell::fit(&pinholes, &points, min_radius).depth([0.0; 3], [0.0, -1.0, 0.0]);
         assert!(depth.is_some_and(|depth| (depth - expected).abs() < 0.1), "{depth:?}");
     }
 }
 
 #[test]
 fn filling_continues_a_plane() {
-    let view = |camera: tcgs_core::Camera| View {
+    let view = |camera: Camera| View {
         image: tcgs_core::Image::filled(camera.width, camera.height, 3, 0.5),
         camera,
         segmentation: None,
         frame: 0,
         camera_id: 0,
     };
-    let camera = tcgs_core::Camera::look_at([0.0; 3], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0], 60.0, 64, 48);
+    let camera = Camera::look_at([0.0; 3], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0], 60.0, 64, 48);
     let vantage = Vantage::new(&view(camera), 1);
     // A floor seen from above: inverse depth grows downwards. Its middle is not known.
     let inverse_depth = |pixel: usize| 0.2 + 0.01 * (pixel / 64) as f32;

@@ -39,6 +39,7 @@ pub(crate) use self::first_timestep::{DENSIFY_END, MASK_PRUNE_INTERVAL};
 use self::free_space::FreeSpace;
 pub use self::removal::{Needed, Removal, TimestepViews, judge_stride, needed};
 pub use self::unseen::are_in_images;
+pub(crate) use self::unseen::keep_out;
 use self::unseen::unseen_last;
 use self::youth::raise_young;
 use crate::TrainError;

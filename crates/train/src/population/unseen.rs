@@ -3,6 +3,11 @@
 use rayon::prelude::*;
 use tcgs_core::{Camera, Pinhole, PointCloud};
 
+use crate::parameters::{MIN_SQUARED_DISTANCE, Parameters};
+
+/// Standard deviations within which a Gaussian covers anything.
+const REACH: f32 = 3.0;
+
 /// Whether each point is in the image of a camera, hidden or not.
 ///
 /// - `points`: `[P, 3]`, scene units
@@ -29,6 +34,37 @@ pub(super) fn unseen_last(cloud: &PointCloud, cameras: &[Camera]) -> (PointCloud
     (ordered, num_unseen)
 }
 
+/// Shrinks Gaussians that are in no image until none reaches into one: what is not trained must not cover what is.
+///
+/// - `first`: index of the first of these Gaussians, which are the last ones. If all are in no image, none changes
+pub(crate) fn keep_out(parameters: &mut Parameters, first: usize, cameras: &[Camera]) {
+    if first == 0 {
+        return;
+    }
+    let pinholes: Vec<Pinhole<f32>> = cameras.iter().map(Pinhole::new).collect();
+    let Parameters { gaussians, .. } = parameters;
+    let limits: Vec<f32> = gaussians.means()[first..]
+        .par_iter()
+        .map(|&mean| pinholes.iter().map(|pinhole| outside_by(pinhole, mean)).fold(f32::INFINITY, f32::min))
+        .collect();
+    for (log_scales, limit) in gaussians.log_scales_mut()[first..].iter_mut().zip(limits) {
+        let largest = (limit / REACH).max(MIN_SQUARED_DISTANCE.sqrt()).ln();
+        *log_scales = log_scales.map(|log_scale| log_scale.min(largest));
+    }
+}
+
+/// A lower bound of the distance between a point and what a camera sees, scene units; 0 or less inside.
+fn outside_by(pinhole: &Pinhole<f32>, point: [f32; 3]) -> f32 {
+    let [x, y, z] = pinhole.camera_point(point);
+    let size = [pinhole.width as f32, pinhole.height as f32];
+    // Distances from the planes through the camera and an edge of the image.
+    let beyond = |i: usize, at: f32| {
+        let (focal, low, high) = (pinhole.focal[i], pinhole.principal[i], size[i] - pinhole.principal[i]);
+        (-(at * focal + z * low) / focal.hypot(low)).max((at * focal - z * high) / focal.hypot(high))
+    };
+    beyond(0, x).max(beyond(1, y)).max(-z)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -42,5 +78,28 @@ mod tests {
         let (ordered, num_unseen) = unseen_last(&PointCloud { points, colors, foreground: vec![false; 4] }, &[camera]);
         assert_eq!((ordered.points.len(), num_unseen), (4, 2));
         assert_eq!(ordered.colors, [[0.0, 0.0, 0.0], [0.0, 0.0, 5.0], [0.0, 0.0, -5.0], [9.0, 0.0, 0.0]]);
+    }
+
+    #[test]
+    fn what_is_in_no_image_does_not_reach_into_one() {
+        let camera = Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 60.0, 64, 48);
+        // In the image; beside it, near and far; behind the camera.
+        let points = vec![[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 0.0, -6.0]];
+        let cloud = PointCloud { colors: points.clone(), points, foreground: vec![false; 4] };
+        let before = Parameters::from_cloud(&cloud, 1, 0.0);
+        let mut after = before.clone();
+        keep_out(&mut after, 1, std::slice::from_ref(&camera));
+        let scales = |of: &Parameters| of.gaussians.log_scales().iter().map(|s| s[0].exp()).collect::<Vec<f32>>();
+        let (before, after) = (scales(&before), scales(&after));
+        assert_eq!(after[0], before[0], "what is in the image stays as it is");
+        assert!(after.iter().zip(&before).all(|(after, before)| after <= before));
+        // The edge of the image is a plane through the camera.
+        let edge = (32.0_f64 / 60.0).atan();
+        for (i, from_camera) in [(1, [3.0_f64, 4.0]), (2, [9.0, 4.0])] {
+            let distance = (from_camera[0].atan2(from_camera[1]) - edge).sin() * from_camera[0].hypot(from_camera[1]);
+            let expected = (distance / 3.0).min(f64::from(before[i]));
+            assert!((f64::from(after[i]) - expected).abs() < 1e-4, "{i}: {} instead of {expected}", after[i]);
+        }
+        assert!((after[3] - before[3].min(2.0 / 3.0)).abs() < 1e-4, "{}", after[3]);
     }
 }

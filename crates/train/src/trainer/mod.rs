@@ -98,6 +98,7 @@ impl Trainer {
         }
         let (cloud, num_unseen) = population::initial_points(config, cloud, cameras);
         let mut parameters = Parameters::from_cloud(&cloud, cameras.len(), config.mask.initial_logit);
+        population::keep_out(&mut parameters, cloud.points.len() - num_unseen, cameras);
         let layout = Layout::with_harmonics(config.color.degree).antialiased(config.render.antialiased);
         parameters.gaussians = std::mem::take(&mut parameters.gaussians).extended(&layout);
         let mut trainer = Self::begun(config, parameters, num_unseen, cameras, make)?;
