@@ -22,7 +22,7 @@ const AVERAGED_ITERATIONS: usize = 50;
 /// places far from every point. On the capture of `tcgs demo`, two timesteps trained from 8000 of its points reach 32.9
 /// dB, from 1000 points 28.3 dB, and from 400 points 18.6 dB. From 200 or 66 points they reach less than 5.5 dB with
 /// hardly a Gaussian left.
-const FEW_POINTS: usize = 1000;
+pub(super) const FEW_POINTS: usize = 1000;
 
 /// Trains the timesteps that a run still lacks, and writes metrics and checkpoint of each. A separate thread prefetches
 /// the images of the next timestep.

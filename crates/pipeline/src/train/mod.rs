@@ -13,6 +13,7 @@ use tcgs_capture::{Capture, Split};
 use tcgs_prepare::close_holes;
 use tcgs_train::{TrainConfig, Trainer};
 
+use self::fit::FEW_POINTS;
 use crate::{Backend, PipelineError, capture_for};
 
 pub use chapter::{continued_trainer, start_state};
@@ -34,8 +35,10 @@ pub fn new_trainer(config: &TrainConfig, capture: &Capture, backend: &Backend) -
         points => Cow::Owned(capture.into_owned().with_points(Path::new(points))?),
     };
     let mut cloud = capture.point_cloud()?;
-    // Points of `tcgs prepare` leave nothing open. A removal without a measured error would remove what no view shows.
-    if capture.measured_share()?.is_none() && config.densify.prune_error > 0.0 {
+    // Points of `tcgs prepare` leave nothing open, few points would give a shell of a few points, and a removal without
+    // a measured error would remove what no view shows.
+    let is_open = capture.measured_share()?.is_none() && cloud.points.len() >= FEW_POINTS;
+    if is_open && config.densify.prune_error > 0.0 {
         cloud = close_holes(&cloud, &cameras);
     }
     Ok(Trainer::with_engine(config, &cloud, &cameras, |state| backend.engine(state))?)
