@@ -34,12 +34,15 @@ pub fn new_trainer(config: &TrainConfig, capture: &Capture, backend: &Backend) -
         "" => capture,
         points => Cow::Owned(capture.into_owned().with_points(Path::new(points))?),
     };
-    let mut cloud = capture.point_cloud()?;
+    let cloud = capture.point_cloud()?;
     // Points of `tcgs prepare` leave nothing open, few points would give a shell of a few points, and a removal without
     // a measured error would remove what no view shows.
-    let is_open = capture.measured_share()?.is_none() && cloud.points.len() >= FEW_POINTS;
-    if is_open && config.densify.prune_error > 0.0 {
-        cloud = close_holes(&cloud, &cameras);
+    let is_given = capture.measured_share()?.is_none() && cloud.points.len() >= FEW_POINTS;
+    let make = |state| backend.engine(state);
+    if !is_given || config.densify.prune_error == 0.0 {
+        return Ok(Trainer::with_engine(config, &cloud, &cameras, make)?);
     }
-    Ok(Trainer::with_engine(config, &cloud, &cameras, |state| backend.engine(state))?)
+    let mut trainer = Trainer::with_engine(config, &close_holes(&cloud, &cameras), &cameras, make)?;
+    trainer.keep_out_of_images(&cameras)?;
+    Ok(trainer)
 }

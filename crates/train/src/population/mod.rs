@@ -24,7 +24,7 @@ mod seeds;
 mod unseen;
 mod youth;
 
-use tcgs_core::{Camera, View};
+use tcgs_core::{Camera, PointCloud, View};
 
 use self::births::Births;
 #[cfg(test)]
@@ -39,23 +39,23 @@ pub(crate) use self::first_timestep::{DENSIFY_END, MASK_PRUNE_INTERVAL};
 use self::free_space::FreeSpace;
 pub use self::removal::{Needed, Removal, TimestepViews, judge_stride, needed};
 pub use self::unseen::are_in_images;
+pub(crate) use self::unseen::keep_out;
 use self::unseen::unseen_last;
 use self::youth::raise_young;
 use crate::TrainError;
 use crate::config::{DeathConfig, TrainConfig};
 use crate::gate::{Activity, Gate};
-use crate::parameters::Parameters;
 use crate::schedule::Phase;
 use crate::solver::{Asked, Solver};
 use crate::state::State;
 
-/// Moves the Gaussians that the first timestep does not train to the end: those that reach into no image. All are trained
-/// where no Gaussian is removed by a measured error.
+/// The points at which a run's first Gaussians stand.
 ///
 /// - `cameras`: of the first timestep's training views
-/// - returns: how many are not trained
-pub(crate) fn fixed_last(config: &TrainConfig, parameters: &mut Parameters, cameras: &[Camera]) -> usize {
-    if config.densify.prune_error > 0.0 { unseen_last(parameters, cameras) } else { 0 }
+/// - returns: also how many of them, the last ones, are not trained in the first timestep. These are in no image. All
+///   are trained where no Gaussian is removed by a measured error.
+pub(crate) fn initial_points(config: &TrainConfig, cloud: &PointCloud, cameras: &[Camera]) -> (PointCloud, usize) {
+    if config.densify.prune_error > 0.0 { unseen_last(cloud, cameras) } else { (cloud.clone(), 0) }
 }
 
 /// Adds and removes the Gaussians of a run.

@@ -1,12 +1,15 @@
 //! Points outside of all training images: no loss constrains them, but other cameras see them.
 
 use rayon::prelude::*;
-use tcgs_core::{Camera, Pinhole};
+use tcgs_core::{Camera, Pinhole, PointCloud};
 
-use crate::parameters::Parameters;
+use crate::state::State;
 
 /// Standard deviations within which a Gaussian covers anything.
 const REACH: f32 = 3.0;
+
+/// Smallest scale, scene units.
+const SMALLEST: f32 = 1e-4;
 
 /// Whether each point is in the image of a camera, hidden or not.
 ///
@@ -17,24 +20,37 @@ pub fn are_in_images(points: &[[f32; 3]], cameras: &[Camera]) -> Vec<bool> {
     points.par_iter().map(|&point| pinholes.iter().any(|pinhole| pinhole.pixel(point).is_some())).collect()
 }
 
-/// Moves the Gaussians that reach into no image to the end.
+/// Moves the points that are in no image to the end.
 ///
 /// - `cameras`: cameras of the images
-/// - returns: how many of them reach into no image
-pub(super) fn unseen_last(parameters: &mut Parameters, cameras: &[Camera]) -> usize {
+/// - returns: the points, and how many of them are in no image
+pub(super) fn unseen_last(cloud: &PointCloud, cameras: &[Camera]) -> (PointCloud, usize) {
+    let is_seen = are_in_images(&cloud.points, cameras);
+    let (mut order, unseen): (Vec<usize>, Vec<usize>) = (0..is_seen.len()).partition(|&i| is_seen[i]);
+    let num_unseen = unseen.len();
+    order.extend(unseen);
+    let ordered = PointCloud {
+        points: order.iter().map(|&i| cloud.points[i]).collect(),
+        colors: order.iter().map(|&i| cloud.colors[i]).collect(),
+        foreground: order.iter().map(|&i| cloud.foreground[i]).collect(),
+    };
+    (ordered, num_unseen)
+}
+
+/// Shrinks the Gaussians that are not trained, since they are in no image, until none reaches into one: what is not
+/// trained must not cover what is.
+pub(crate) fn keep_out(state: &mut State, cameras: &[Camera]) {
+    let first = state.num_trained();
     let pinholes: Vec<Pinhole<f32>> = cameras.iter().map(Pinhole::new).collect();
-    let Parameters { gaussians, .. } = &*parameters;
-    let reaches_in: Vec<bool> = (gaussians.means().par_iter(), gaussians.log_scales())
-        .into_par_iter()
-        .map(|(&mean, log_scales)| {
-            let reach = REACH * log_scales.iter().copied().fold(f32::NEG_INFINITY, f32::max).exp();
-            pinholes.iter().any(|pinhole| outside_by(pinhole, mean) < reach)
-        })
+    let gaussians = &mut state.parameters.gaussians;
+    let limits: Vec<f32> = gaussians.means()[first..]
+        .par_iter()
+        .map(|&mean| pinholes.iter().map(|pinhole| outside_by(pinhole, mean)).fold(f32::INFINITY, f32::min))
         .collect();
-    let (mut order, unseen): (Vec<usize>, Vec<usize>) = (0..reaches_in.len()).partition(|&i| reaches_in[i]);
-    order.extend(&unseen);
-    *parameters = parameters.select(&order);
-    unseen.len()
+    for (log_scales, limit) in gaussians.log_scales_mut()[first..].iter_mut().zip(limits) {
+        let largest = (limit / REACH).max(SMALLEST).ln();
+        *log_scales = log_scales.map(|log_scale| log_scale.min(largest));
+    }
 }
 
 /// A lower bound of the distance between a point and what a camera sees, scene units; 0 or less inside.
@@ -54,30 +70,40 @@ mod tests {
     use tcgs_core::PointCloud;
 
     use super::*;
+    use crate::parameters::Parameters;
 
     #[test]
-    fn what_is_hidden_is_in_the_image() {
+    fn what_is_hidden_is_in_the_image_and_what_is_outside_comes_last() {
         let camera = Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 60.0, 64, 48);
-        let points = [[0.0, 0.0, -5.0], [0.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 0.0, 5.0]];
-        assert_eq!(are_in_images(&points, &[camera]), [false, true, false, true]);
+        let points = vec![[0.0, 0.0, -5.0], [0.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 0.0, 5.0]];
+        assert_eq!(are_in_images(&points, std::slice::from_ref(&camera)), [false, true, false, true]);
+        let colors = points.clone();
+        let (ordered, num_unseen) = unseen_last(&PointCloud { points, colors, foreground: vec![false; 4] }, &[camera]);
+        assert_eq!((ordered.points.len(), num_unseen), (4, 2));
+        assert_eq!(ordered.colors, [[0.0, 0.0, 0.0], [0.0, 0.0, 5.0], [0.0, 0.0, -5.0], [9.0, 0.0, 0.0]]);
     }
 
     #[test]
-    fn what_reaches_into_no_image_goes_to_the_end() {
+    fn what_is_in_no_image_does_not_reach_into_one() {
         let camera = Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 60.0, 64, 48);
-        // Beside the image; behind the camera; in the image; just outside of it; behind the camera, but very large.
-        let points = vec![[9.0, 0.0, 0.0], [0.0, 0.0, -5.0], [0.0; 3], [2.2, 0.0, 0.0], [0.0, 0.0, -7.0]];
-        let cloud = PointCloud { colors: points.clone(), points, foreground: vec![false; 5] };
-        let mut parameters = Parameters::from_cloud(&cloud, 1, 0.0);
-        let scales = [0.3_f32, 0.3, 0.3, 0.3, 1.1].map(|scale| [scale.ln(); 3]);
-        parameters.gaussians.log_scales_mut().copy_from_slice(&scales);
-        let num_unseen = unseen_last(&mut parameters, std::slice::from_ref(&camera));
-        let means = [[0.0; 3], [2.2, 0.0, 0.0], [0.0, 0.0, -7.0], [9.0, 0.0, 0.0], [0.0, 0.0, -5.0]];
-        assert_eq!((parameters.gaussians.means(), num_unseen), (&means[..], 2));
-        assert_eq!(parameters.gaussians.colors(), means, "in the same order");
-        // The edge of the image is a plane through the camera: this one comes within three standard deviations of it.
+        // In the image; beside it, near and far; behind the camera.
+        let points = vec![[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 0.0, -6.0]];
+        let cloud = PointCloud { colors: points.clone(), points, foreground: vec![false; 4] };
+        let before = State { num_fixed: 3, ..State::new(Parameters::from_cloud(&cloud, 1, 0.0)) };
+        let mut after = before.clone();
+        keep_out(&mut after, std::slice::from_ref(&camera));
+        let scales =
+            |of: &State| -> Vec<f32> { of.parameters.gaussians.log_scales().iter().map(|s| s[0].exp()).collect() };
+        let (before, after) = (scales(&before), scales(&after));
+        assert_eq!(after[0], before[0], "what is in the image stays as it is");
+        assert!(after.iter().zip(&before).all(|(after, before)| after <= before));
+        // The edge of the image is a plane through the camera.
         let edge = (32.0_f64 / 60.0).atan();
-        let beside = (2.2_f64.atan2(4.0) - edge).sin() * 2.2_f64.hypot(4.0);
-        assert!(beside > 0.0 && (f64::from(outside_by(&Pinhole::new(&camera), means[1])) - beside).abs() < 1e-5);
+        for (i, from_camera) in [(1, [3.0_f64, 4.0]), (2, [9.0, 4.0])] {
+            let distance = (from_camera[0].atan2(from_camera[1]) - edge).sin() * from_camera[0].hypot(from_camera[1]);
+            let expected = (distance / 3.0).min(f64::from(before[i]));
+            assert!((f64::from(after[i]) - expected).abs() < 1e-4, "{i}: {} instead of {expected}", after[i]);
+        }
+        assert!((after[3] - before[3].min(2.0 / 3.0)).abs() < 1e-4, "{}", after[3]);
     }
 }

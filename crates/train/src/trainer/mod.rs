@@ -62,6 +62,7 @@ pub struct Trainer {
     gate: Option<Gate>,
     scene_radius: f32,
     camera_ids: Vec<usize>,
+    coarse: Vec<(usize, Vec<crate::engine::Target>)>,
     /// Whether [`Self::fit`] ended within a timestep.
     is_unfinished: bool,
     /// Whether the run continues another one's state, so that its first timestep is trained as a later one.
@@ -96,11 +97,11 @@ impl Trainer {
         if cloud.points.is_empty() {
             return Err(none("points of the initial cloud"));
         }
-        let mut parameters = Parameters::from_cloud(cloud, cameras.len(), config.mask.initial_logit);
-        let num_fixed = population::fixed_last(config, &mut parameters, cameras);
+        let (cloud, num_unseen) = population::initial_points(config, cloud, cameras);
+        let mut parameters = Parameters::from_cloud(&cloud, cameras.len(), config.mask.initial_logit);
         let layout = Layout::with_harmonics(config.color.degree).antialiased(config.render.antialiased);
         parameters.gaussians = std::mem::take(&mut parameters.gaussians).extended(&layout);
-        let mut trainer = Self::begun(config, parameters, num_fixed, cameras, make)?;
+        let mut trainer = Self::begun(config, parameters, num_unseen, cameras, make)?;
         trainer.population.keep_clear(cameras, &cloud.points);
         Ok(trainer)
     }
@@ -121,11 +122,11 @@ impl Trainer {
         Self::begun(config, parameters, 0, cameras, make)
     }
 
-    /// - `num_fixed`: number of Gaussians, the last ones, that reach into no training image
+    /// - `num_unseen`: number of Gaussians, the last ones, that are in no training image
     fn begun(
         config: &TrainConfig,
         parameters: Parameters,
-        num_fixed: usize,
+        num_unseen: usize,
         cameras: &[Camera],
         make: impl FnOnce(State) -> Box<dyn Engine>,
     ) -> Result<Self, TrainError> {
@@ -138,7 +139,7 @@ impl Trainer {
         let radius = extent(cameras, parameters.gaussians.means());
         let num_gaussians = parameters.num_gaussians();
         // A scene of which nothing is in an image is trained as it is.
-        let num_fixed = if num_fixed < num_gaussians { num_fixed } else { 0 };
+        let num_fixed = if num_unseen < num_gaussians { num_unseen } else { 0 };
         let engine = make(State { num_fixed, ..State::new(parameters) });
         Ok(Self {
             solver: Solver::new(config, radius, engine, num_gaussians, 0),
@@ -146,6 +147,7 @@ impl Trainer {
             gate: gate(config, GateRecord::default()),
             scene_radius: radius,
             camera_ids: Vec::new(),
+            coarse: Vec::new(),
             is_unfinished: false,
             continues: false,
         })
@@ -227,9 +229,22 @@ impl Trainer {
             gate: gate(config, last.gate.clone()),
             scene_radius: radius,
             camera_ids: Vec::new(),
+            coarse: Vec::new(),
             is_unfinished: false,
             continues,
         }
+    }
+
+    /// Before the first timestep: shrinks the Gaussians that it does not train, since they are in no image, until none
+    /// reaches into one.
+    ///
+    /// - `cameras`: as for [`Self::with_engine`]
+    ///
+    /// # Errors
+    /// [`TrainError::Gpu`] if the engine failed.
+    pub fn keep_out_of_images(&mut self, cameras: &[Camera]) -> Result<(), TrainError> {
+        population::keep_out(self.solver.engine.state_mut()?, cameras);
+        Ok(())
     }
 
     /// The phase of the next timestep.
