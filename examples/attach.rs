@@ -1,4 +1,5 @@
-//! Puts application data into a `.tcgs` file that exists, in place of data of the same name; the scene's bytes stay as they are.
+//! Puts application data into a `.tcgs` file that exists, in place of data of the same name; the scene's bytes stay as
+//! they are.
 //!
 //! ```sh
 //! cargo run --release --example attach -- scene.tcgs tcgs.credits credits.json out.tcgs

@@ -29,9 +29,9 @@ FRAMES = 90
 MAX_FILM_BYTES = 190_000
 MAX_README_BYTES = 1_500_000
 
-# Where the camera of a film stands: on a circle of `radius` around `target`, `rise` above it (y points down in all three
-# scenes), swaying `sway` to either side of `angle` (0: +z). `angle`, `sway` and the horizontal `view` are degrees.
-# `timesteps`: at most so many, from the first.
+# Where the camera of a film stands: on a circle of `radius` around `target`, `rise` above it (y points down in all
+# three scenes), swaying `sway` to either side of `angle` (0: +z). `angle`, `sway` and the horizontal `view` are
+# degrees. `timesteps`: at most so many, from the first.
 FILMS = {
     "toss": {"target": (0.0, -0.95, 0.0), "radius": 3.6, "rise": 0.7, "angle": 0, "sway": 26, "view": 68, "timesteps": 48},
     "kitchen": {"target": (0.0, -1.28, 0.1), "radius": 1.75, "rise": 0.3, "angle": 180, "sway": 20, "view": 76, "timesteps": 60},

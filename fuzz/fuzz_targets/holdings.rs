@@ -1,5 +1,5 @@
-//! What a player holds, on any file and any clock: what is due is there after a bounded number of parts, and prefetching ends.
-//! Checksums are off.
+//! What a player holds, on any file and any clock: what is due is there after a bounded number of parts, and
+//! prefetching ends. Checksums are off.
 #![no_main]
 
 // The player's other modules need a GPU, which is slow to build with sanitizers.

@@ -174,7 +174,8 @@ class Peer:
             # One sample, in the middle of the pixel.
             "sampler": {"type": "stratified", "sample_count": 1, "jitter": False},
         }
-        # No bound on the number of Gaussians along a ray, as in tcgs. In the bench's scene the default of 64 changes nothing.
+        # No bound on the number of Gaussians along a ray, as in tcgs. In the bench's scene the default of 64 changes
+        # nothing.
         integrator = {"type": "volprim_rf_basic", "srgb_primitives": False, "max_depth": -1}
         self.scene = mi.load_dict({"type": "scene", "shape": shape, "sensor": sensor, "integrator": integrator})
         self.params = mi.traverse(self.scene)

@@ -40,7 +40,8 @@ signed = lambda z: z // 2 if z % 2 == 0 else -(z + 1) // 2
 size = lambda z: min(log2(z + 1), 5)
 bucket = lambda count: 0 if count == 0 else min(log2(count + 1) + 1, 5)
 
-# --- Container ---------------------------------------------------------------------------------------------------------
+# --- Container
+# ---------------------------------------------------------------------------------------------------------
 
 class Fields:
     """The fields of a section, one after another."""
@@ -152,7 +153,8 @@ def read_attribute(f, plan, a):
     plan['quantizers'].append(quantizers)
     plan['predictors'].append(predictors)
 
-# --- Container of version 1 ----------------------------------------------------------------------------------------------
+# --- Container of version 1
+# ----------------------------------------------------------------------------------------------
 
 def open_1(data):
     """Fields of INFO, and the only cohort."""
@@ -207,7 +209,8 @@ def read_plan_1(f):
     f.end()
     return plan
 
-# --- Container of version 2 ----------------------------------------------------------------------------------------------
+# --- Container of version 2
+# ----------------------------------------------------------------------------------------------
 
 def open_2(data):
     """Fields of INFO, and all cohorts."""
@@ -369,7 +372,8 @@ def described(plan):
     """What all cohorts have in common."""
     return plan['names'], plan['components'], plan['activations'], plan['units'][BASE:], plan['skipped']
 
-# --- Symbols -----------------------------------------------------------------------------------------------------------
+# --- Symbols
+# -----------------------------------------------------------------------------------------------------------
 
 class Model:
     def __init__(self, n):
@@ -437,7 +441,8 @@ class Numbers:
         high = symbols.read(self.leading[bits]) % 2**top
         return base + (high << (bits - top)) + symbols.bits(bits - top)
 
-# --- Shared layers -----------------------------------------------------------------------------------------------------
+# --- Shared layers
+# -----------------------------------------------------------------------------------------------------
 
 def curve_key(point, bits):
     return sum((point[c] >> j & 1) << (3 * j + c) for j in range(bits) for c in range(3))
@@ -567,7 +572,8 @@ class Shared:
                 before.append(value)
         symbols.end()
 
-# --- Segments ----------------------------------------------------------------------------------------------------------
+# --- Segments
+# ----------------------------------------------------------------------------------------------------------
 
 class SegmentOf:
     """The keypoints of one attribute within one segment: (times, codes[keypoint][component]) by Gaussian and unit."""
@@ -677,7 +683,8 @@ class SegmentOf:
         if self.shared.width[self.a][g] == self.shared.width[self.a][h]: return difference
         return difference * self.shared.quantizer(self.a, h, c)[0] / self.shared.quantizer(self.a, g, c)[0]
 
-# --- A whole file ------------------------------------------------------------------------------------------------------
+# --- A whole file
+# ------------------------------------------------------------------------------------------------------
 
 class Decoded:
     """A decoded cohort. `tracks[a][g * C + c]`: times, counted from the start of the cohort, and codes."""
@@ -786,7 +793,8 @@ def join(name, joined, units):
         known_times += times[shared:]
         known_codes += codes[shared:]
 
-# --- Command line ------------------------------------------------------------------------------------------------------
+# --- Command line
+# ------------------------------------------------------------------------------------------------------
 
 def floats(scene):
     """All floats of a scene, timestep by timestep, as bytes."""

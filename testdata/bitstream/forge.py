@@ -11,7 +11,8 @@ import decode as decoder
 
 FOLDER = pathlib.Path(__file__).parent
 
-# --- Parts of a file ---------------------------------------------------------------------------------------------------
+# --- Parts of a file
+# ---------------------------------------------------------------------------------------------------
 
 class File:
     """Sections of a file, to be changed; `bytes` seals it with checksums that are right."""
@@ -49,7 +50,8 @@ def with_header(data, offset, layout, value):
     struct.pack_into('<I', data, 12, zlib.crc32(data[:12] + data[16:end]))
     return bytes(data)
 
-# --- Symbols -----------------------------------------------------------------------------------------------------------
+# --- Symbols
+# -----------------------------------------------------------------------------------------------------------
 
 class Recorder(decoder.Symbols):
     """Notes what is read: the name of the model, or `bits`, and the value."""
@@ -139,7 +141,8 @@ def large(name):
     """The number 40,000."""
     return [(name, 14), (name + ' exponent', 9), (name + ' leading', (40_000 - 2**15) >> 12), ('bits', (40_000 - 2**15) % 2**12)]
 
-# --- What must be refused ----------------------------------------------------------------------------------------------
+# --- What must be refused
+# ----------------------------------------------------------------------------------------------
 
 def with_plan_of(name, change):
     file = File(name)
@@ -242,7 +245,8 @@ def refused():
     yield 'after', 'format', 'means', 'keypoint times', 'a last keypoint after the last timestep', forged(SHORT, (second, until('after', ('after', 7))))
     yield 'disagreement', 'format', 'means', 'keypoints', 'two segments disagree on the code of a keypoint that they share', forged(SHORT, (second, replaced('first', lambda u: u ^ 1 if u < 8 else u)))
 
-# --- What a decoder takes ----------------------------------------------------------------------------------------------
+# --- What a decoder takes
+# ----------------------------------------------------------------------------------------------
 
 def optional_sections():
     """Sections to skip, wherever they may be; data of applications, one piece without a name."""
@@ -279,7 +283,8 @@ def dropped_bits():
     edits = [('means', beyond)] + [(section, lambda seen: seen) for section in decoder.NAMES[1:]]
     return forged(name, *[((section, decoder.SHARED, i, 0), edit) for section, edit in edits for i in layers_of(name)], file=file)
 
-# --- Command line ------------------------------------------------------------------------------------------------------
+# --- Command line
+# ------------------------------------------------------------------------------------------------------
 
 def table(files):
     rows = [{'file': f'{name}.tcgs', 'kind': kind, 'section': section, 'field': field, 'wrong': wrong} for name, kind, section, field, wrong, _ in files]

@@ -17,7 +17,8 @@ def vector(name): return (FOLDER / 'v2' / f'{name}.tcgs').read_bytes()
 
 def text(name): return struct.pack('<H', len(name)) + name.encode()
 
-# --- Parts of a file ---------------------------------------------------------------------------------------------------
+# --- Parts of a file
+# ---------------------------------------------------------------------------------------------------
 
 class Cohort:
     """Parts of a cohort.
@@ -157,7 +158,8 @@ def first_byte_of_shared(name):
     file.bytes()
     return file.at['shared', 0]
 
-# --- What must be refused ----------------------------------------------------------------------------------------------
+# --- What must be refused
+# ----------------------------------------------------------------------------------------------
 
 ONE, COHORTS, LIVES, SPARSE, PLANS, LAYERS, FRAMES = 'one_gaussian', 'cohorts', 'lives', 'sparse', 'shared_plan', 'layers', 'flip_book'
 
@@ -357,7 +359,8 @@ def refused():
     yield 'symbol_too_many', 'format', 'further attribute', 'symbols', 'a symbol too many of a further attribute', forged(SPARSE, (('wetness', decoder.SHARED, 0, 0), lambda seen: seen + [('extra', 1)]))
     yield 'disagreement', 'format', 'means', 'keypoints', 'two segments disagree on the code of a keypoint that they share', forged(COHORTS, (('means', 1, 0, 0), replaced('first', lambda u: u ^ 1 if u < 8 else u)))
 
-# --- What a decoder takes ----------------------------------------------------------------------------------------------
+# --- What a decoder takes
+# ----------------------------------------------------------------------------------------------
 
 def optional_sections():
     """Sections to skip at the start, between pieces and at the end; data of applications, one piece without a name."""

@@ -129,7 +129,8 @@ impl Camera {
         [x, y, z]
     }
 
-    /// The camera with its matrix inverted: `Rᵀ`, `−Rᵀ t`. An inverted matrix is the commonest mistake in a new capture.
+    /// The camera with its matrix inverted: `Rᵀ`, `−Rᵀ t`. An inverted matrix is the commonest mistake in a new
+    /// capture.
     pub fn inverse(&self) -> Self {
         let (m, center) = (&self.camera_from_world, self.center());
         let row = |i: usize| [m[0][i], m[1][i], m[2][i], center[i]];

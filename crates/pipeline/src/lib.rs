@@ -22,8 +22,8 @@
 //! use std::ops::ControlFlow;
 //! use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
 //! use tcgs_pipeline::{
-//!     Backend, CompressOptions, EvaluateSettings, Event, OpenScene, OpenSettings, Unobserved, compress_scene, evaluate, fit,
-//!     new_trainer, settings_for,
+//!     Backend, CompressOptions, EvaluateSettings, Event, OpenScene, OpenSettings, Unobserved, compress_scene,
+//!     evaluate, fit, new_trainer, settings_for,
 //! };
 //! use tcgs_train::{Preset, Run};
 //!

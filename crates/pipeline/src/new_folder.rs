@@ -31,8 +31,8 @@ impl NewFolder {
     ///   that a slip cannot cost a home directory
     ///
     /// # Errors
-    /// [`PipelineError::Exists`] if the folder exists and is not replaced. Other errors if the place cannot be written, or
-    /// another process writes it.
+    /// [`PipelineError::Exists`] if the folder exists and is not replaced. Other errors if the place cannot be written,
+    /// or another process writes it.
     pub fn begin(place: &Path, force: bool, is_ours: fn(&Path) -> bool) -> Result<Self, PipelineError> {
         Self::check_name(place)?;
         let exists = || PipelineError::Exists { path: place.into() };

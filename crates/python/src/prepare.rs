@@ -12,8 +12,8 @@ use crate::capture::PyCapture;
 use crate::numbers::{Number, Whole};
 use crate::watch::Watch;
 
-/// Makes a capture that `tcgs.train` reads, of a folder of videos, or of a capture without points: cameras, clocks, masks
-/// of what moves, and initial points by multi-view stereo. It then checks the capture.
+/// Makes a capture that `tcgs.train` reads, of a folder of videos, or of a capture without points: cameras, clocks,
+/// masks of what moves, and initial points by multi-view stereo. It then checks the capture.
 ///
 /// - source: folder of videos, one for each camera, perhaps with a calibration, or of a capture of any kind
 /// - out: folder of the new capture. A step whose result it holds from an earlier call is skipped

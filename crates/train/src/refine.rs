@@ -1,13 +1,13 @@
 //! Refinement of what a file stores: the codes of a compressed scene are trained through the renderer.
 //!
-//! A timestep is drawn as a decoder reconstructs it: codes are rounded and dequantised, tracks interpolated between their
-//! keypoints. The gradient of the image goes back to the keypoints before and after the timestep, each by its share. For
-//! codes, rounding counts as the identity (straight-through, as in training). A keypoint that never moves is trained by the
-//! images of all timesteps. Keypoints, quantizers and bits stay.
+//! A timestep is drawn as a decoder reconstructs it: codes are rounded and dequantised, tracks interpolated between
+//! their keypoints. The gradient of the image goes back to the keypoints before and after the timestep, each by its
+//! share. For codes, rounding counts as the identity (straight-through, as in training). A keypoint that never moves is
+//! trained by the images of all timesteps. Keypoints, quantizers and bits stay.
 //!
 //! One gain for red, green and blue at each timestep is trained with them, for the whole scene. If all cameras record a
-//! timestep darker, these gains show it, and no Gaussian needs another colour. Training has learned a gain and an offset
-//! of each camera. They are trained on if the cameras differ; no file holds them.
+//! timestep darker, these gains show it, and no Gaussian needs another colour. Training has learned a gain and an
+//! offset of each camera. They are trained on if the cameras differ; no file holds them.
 
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
@@ -22,8 +22,8 @@ use crate::engine::cpu::{ImageLoss, image_loss};
 use crate::parameters::{DIFFERENT, spread_of_cameras};
 use crate::schedule::cosine;
 
-/// Decay of the second moments: a keypoint is trained in a few of the timesteps only, so they settle faster than those of a
-/// whole training.
+/// Decay of the second moments: a keypoint is trained in a few of the timesteps only, so they settle faster than those
+/// of a whole training.
 const BETA2: f32 = 0.99;
 /// Updates after which a moment has no bias left, to a float's precision.
 const NUM_CORRECTIONS: usize = 2048;
@@ -37,7 +37,8 @@ const CHUNK: usize = 1 << 11;
 pub struct RefineConfig {
     /// Learning rate of Adam, in steps of the quantizer. Default 0.2.
     pub rate: f32,
-    /// Share of the rate that is left at the end, reached along a cosine. Default 0.002: a rate that stays makes codes jump to and fro between neighbouring values.
+    /// Share of the rate that is left at the end, reached along a cosine. Default 0.002: a rate that stays makes codes
+    /// jump to and fro between neighbouring values.
     pub decay: f32,
     /// Adam's ε, relative to the root mean second moment of the attribute. It keeps codes still whose gradients are
     /// mostly noise, since each move costs bits. Default 0.5.
@@ -146,7 +147,8 @@ impl Refiner {
         Ok(loss.image)
     }
 
-    /// Makes the mean of each channel's gains over time 1 (the geometric mean): colours alone have what all timesteps share.
+    /// Makes the mean of each channel's gains over time 1 (the geometric mean): colours alone have what all timesteps
+    /// share.
     fn center_light(&mut self) {
         for channel in 0..3 {
             let sum: f32 = self.light.iter().map(|gains| gains[channel].value).sum();
@@ -255,8 +257,8 @@ fn pieces<'a>(tracks: &'a mut Tracks<i16>, mut latents: &'a mut [Latent], length
 
 /// Loss of a timestep's picture, and its gradient to the values at that timestep.
 ///
-/// A quaternion is interpolated, then divided by its length, which is 1 to within a percent: the gradient leaves out that
-/// last factor.
+/// A quaternion is interpolated, then divided by its length, which is 1 to within a percent: the gradient leaves out
+/// that last factor.
 fn gradients<R: Rasterizer>(
     rasterizer: &R,
     scene: &CompactScene,
@@ -292,12 +294,12 @@ fn gradients<R: Rasterizer>(
 /// Share of a timestep's views that are trained on at one visit to it.
 const VIEWS_SHARE: f64 = 1.0 / 3.0;
 
-/// The order of a refinement, without end: a timestep, and which of its views to train on. All timesteps are visited equally
-/// often, and so are their views in the mean.
+/// The order of a refinement, without end: a timestep, and which of its views to train on. All timesteps are visited
+/// equally often, and so are their views in the mean.
 ///
 /// - `num_timesteps`, `num_views`: at least 1
-/// - `num_iterations`: as many as will be done, if timesteps are to be visited in their order, as videos are decoded fastest:
-///   where that is less than one pass, every second, third or further timestep. None for a random order
+/// - `num_iterations`: as many as will be done, if timesteps are to be visited in their order, as videos are decoded
+///   fastest: where that is less than one pass, every second, third or further timestep. None for a random order
 pub fn refine_order(
     seed: u64,
     num_timesteps: usize,

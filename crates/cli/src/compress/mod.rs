@@ -31,8 +31,8 @@ use crate::terminal::{note, say};
 /// A run is pruned by its masks and quantised with its learned bits. A scene without learned bits gets them by a
 /// measurement: how much do images of the capture's cameras, or of cameras around the scene, depend on each parameter?
 ///
-/// A folder has one file a timestep, in the natural order of their names: PLY of 3D Gaussian splatting, compressed PLY of
-/// SuperSplat, SPZ of versions 2 to 4, glTF with KHR_gaussian_splatting, SOG of version 2, .splat or .ksplat, with
+/// A folder has one file a timestep, in the natural order of their names: PLY of 3D Gaussian splatting, compressed PLY
+/// of SuperSplat, SPZ of versions 2 to 4, glTF with KHR_gaussian_splatting, SOG of version 2, .splat or .ksplat, with
 /// spherical harmonics or without. Names that are numbers and count up, such as 000012.ply, are frames. Where the
 /// number or the order of Gaussians changes from file to file, those that are found again are followed, and the others
 /// come and go.
@@ -91,8 +91,8 @@ pub struct Arguments {
     /// Leave out Gaussians whose mean mask is not above this [default: the run's mask.threshold]
     #[arg(long, value_name = "EPS", value_parser = share, allow_negative_numbers = true)]
     prune: Option<f32>,
-    /// Leave out Gaussians that at every timestep make up less than this share of the pixels of all training images together
-    /// [default: of a file that is refined 1e-6, else 0]
+    /// Leave out Gaussians that at every timestep make up less than this share of the pixels of all training images
+    /// together [default: of a file that is refined 1e-6, else 0]
     #[arg(long, value_name = "SHARE", value_parser = share, allow_negative_numbers = true)]
     min_share: Option<f32>,
     /// Capture whose training cameras tell how much each parameter matters [default: the run's], and on whose
@@ -102,9 +102,9 @@ pub struct Arguments {
     /// `plain`: print the size in the paper's form, without entropy coding, as a stage of its own; the file is the same
     #[arg(long, default_value = "packed")]
     storage: Storage,
-    /// Quality on one curve of settings, -6 to 8, instead of single settings. A quality 1 higher about halves the errors
-    /// and takes a fourth to a third more bytes [default: 0; of a refined file -2 to 0, where rounding adds about 15 % to
-    /// the squared error of training images]
+    /// Quality on one curve of settings, -6 to 8, instead of single settings. A quality 1 higher about halves the
+    /// errors and takes a fourth to a third more bytes [default: 0; of a refined file -2 to 0, where rounding adds
+    /// about 15 % to the squared error of training images]
     #[arg(long, value_name = "Q", value_parser = target::quality, allow_negative_numbers = true)]
     #[arg(conflicts_with_all = SINGLE_SETTINGS)]
     quality: Option<f32>,
@@ -117,28 +117,30 @@ pub struct Arguments {
     #[arg(long, value_name = "DB", value_parser = decibels, allow_negative_numbers = true)]
     #[arg(conflicts_with_all = SINGLE_SETTINGS, conflicts_with = "quality")]
     target_psnr: Option<f64>,
-    /// Keep the largest error of attributes over all Gaussians and timesteps within bounds: mean in scene units, rotation in
-    /// radians, scale of the natural logarithm, opacity and color of 1, sh1 to sh3. Settings get finer until it is so.
-    /// The file declares its errors, which takes format 2, and `tcgs verify` checks them
+    /// Keep the largest error of attributes over all Gaussians and timesteps within bounds: mean in scene units,
+    /// rotation in radians, scale of the natural logarithm, opacity and color of 1, sh1 to sh3. Settings get finer
+    /// until it is so. The file declares its errors, which takes format 2, and `tcgs verify` checks them
     #[arg(long, value_name = "ATTRIBUTE=ERROR,...")]
     #[arg(conflicts_with_all = SINGLE_SETTINGS, conflicts_with = "target")]
     max_error: Option<Bounds>,
-    /// Fit the settings to this scene: the same PSNR in fewer bytes, or of a target the best of all settings. Measured on
-    /// training images of --capture, else on renders of SOURCE. Takes some 100 compressions, and tells each
+    /// Fit the settings to this scene: the same PSNR in fewer bytes, or of a target the best of all settings. Measured
+    /// on training images of --capture, else on renders of SOURCE. Takes some 100 compressions, and tells each
     #[arg(long)]
     #[arg(conflicts_with_all = SINGLE_SETTINGS, conflicts_with = "max_error")]
     tune: bool,
     /// With a target or --tune: cameras of --capture to measure on [default: test; with --tune train]
     #[arg(long, requires = "capture", requires = "measured")]
     cameras: Option<Cameras>,
-    /// With a target or --tune: frames to measure on, from A up to but not including B [default: evenly some of the scene]
+    /// With a target or --tune: frames to measure on, from A up to but not including B [default: evenly some of the
+    /// scene]
     #[arg(long, value_name = "A..B", requires = "measured")]
     frames: Option<Frames>,
-    /// Train what the file stores on the training images of --capture, or of the run's capture, for a time (90s, 5m, 1h) or a
-    /// number of iterations: more PSNR in about as many bytes. A number of iterations gives the same file whenever it is
-    /// repeated; a time is turned into one, which is printed. Ctrl-C ends the training and writes the file. With a target the
-    /// refined file meets it, which may take up to four refinements; with --tune the settings are fitted before. `off` writes
-    /// the file within seconds [default: by the run's iterations; off without images, with a target, --tune, --max-error or
+    /// Train what the file stores on the training images of --capture, or of the run's capture, for a time (90s, 5m,
+    /// 1h) or a number of iterations: more PSNR in about as many bytes. A number of iterations gives the same file
+    /// whenever it is repeated; a time is turned into one, which is printed. Ctrl-C ends the training and writes the
+    /// file. With a target the refined file meets it, which may take up to four refinements; with --tune the settings
+    /// are fitted before. `off` writes the file within seconds [default: by the run's iterations; off without images,
+    /// with a target, --tune, --max-error or
     /// --preset paper]
     #[arg(long, value_name = "BUDGET", value_parser = options::refining)]
     #[arg(conflicts_with = "max_error")]
@@ -147,8 +149,8 @@ pub struct Arguments {
     /// which the capture's cameras stand upright, without a capture unknown]
     #[arg(long, value_name = "AXIS", value_parser = up_axis, allow_hyphen_values = true)]
     up: Option<UpAxis>,
-    /// Version of the format: 2, or 1 for older programs, which holds no spherical harmonics, no Gaussians that come and go,
-    /// and no declared errors
+    /// Version of the format: 2, or 1 for older programs, which holds no spherical harmonics, no Gaussians that come
+    /// and go, and no declared errors
     #[arg(long, value_name = "VERSION", default_value_t = FORMAT_VERSION)]
     #[arg(value_parser = clap::value_parser!(u16).range(1..=i64::from(FORMAT_VERSION)))]
     format: u16,

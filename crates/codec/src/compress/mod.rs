@@ -138,8 +138,8 @@ pub fn compress_ordered(
 ///
 /// # Errors
 /// - [`CompressError::Read`] if the reader fails, [`CompressError::Layout`] if a timestep has other columns
-/// - [`CompressError::Count`] if the scene, `bit_map` and `info` disagree in a count, or the number of Gaussians changes
-///   over time ([`FollowedParts`] is for such scenes)
+/// - [`CompressError::Count`] if the scene, `bit_map` and `info` disagree in a count, or the number of Gaussians
+///   changes over time ([`FollowedParts`] is for such scenes)
 /// - [`CompressError::Value`] if the number of timesteps is not within 1 to 65536, a width not within 1 to 16, or a
 ///   setting out of range
 /// - [`CompressError::Gaussian`] if a value is not finite

@@ -58,10 +58,10 @@ pub struct CompressSettings {
     /// whose widths in training equal those of colours: on basketball that saves 6 percent of the file for 0.01 dB.
     pub coarser: [f32; 5],
     /// If positive, the error of colours, a root mean square over all directions of view, below which a Gaussian does
-    /// without a band of spherical harmonics, and which rounding the coefficients may make; colours are from 0 to 1. For
-    /// each Gaussian it is divided by the power `p/2` of the sensitivity of the images to its band, relative to that of the
-    /// others, for the `p` of `importance`. If 0, all Gaussians keep all bands with the widths of the bit map. Default
-    /// 0.014, the root of the tolerance of colours.
+    /// without a band of spherical harmonics, and which rounding the coefficients may make; colours are from 0 to 1.
+    /// For each Gaussian it is divided by the power `p/2` of the sensitivity of the images to its band, relative to
+    /// that of the others, for the `p` of `importance`. If 0, all Gaussians keep all bands with the widths of the bit
+    /// map. Default 0.014, the root of the tolerance of colours.
     pub harmonic_error: f32,
     /// If positive, the number of steps of positions to a length typical of the scene's Gaussians: the step along all
     /// axes is the median over Gaussians of the second largest scale (one standard deviation, in scene units) divided
@@ -69,9 +69,9 @@ pub struct CompressSettings {
     /// the width of positions is that of the bit map, and the codes cover the range along each axis. Default 11; 0 in
     /// the paper.
     pub position_fineness: f32,
-    /// By [`Attribute::index`]: whether quantizers cover all values, and are fitted anew. Where not, learned ones stay, and
-    /// outliers may be cut off for a smaller mean error, so that the largest error has no bound. Those of positions cover
-    /// all in any case. Default false.
+    /// By [`Attribute::index`]: whether quantizers cover all values, and are fitted anew. Where not, learned ones stay,
+    /// and outliers may be cut off for a smaller mean error, so that the largest error has no bound. Those of positions
+    /// cover all in any case. Default false.
     pub covers_outliers: [bool; 5],
 }
 
@@ -173,12 +173,12 @@ impl CompressSettings {
         self
     }
 
-    /// These settings with smaller largest errors of some attributes ([`attribute_error`](crate::attribute_error)), and of
-    /// all that share their entries; where several do, the largest factor counts. How much smaller depends on the scene;
-    /// many times over the errors become as small as 16 bits make them.
+    /// These settings with smaller largest errors of some attributes ([`attribute_error`](crate::attribute_error)), and
+    /// of all that share their entries; where several do, the largest factor counts. How much smaller depends on the
+    /// scene; many times over the errors become as small as 16 bits make them.
     ///
-    /// - `factors`: by which the errors should fall, at least 1. With 1 quantizers cover all values, so that errors have a
-    ///   bound, and every Gaussian keeps its harmonics if one of these is among the attributes
+    /// - `factors`: by which the errors should fall, at least 1. With 1 quantizers cover all values, so that errors
+    ///   have a bound, and every Gaussian keeps its harmonics if one of these is among the attributes
     ///
     /// ```
     /// use tcgs_codec::CompressSettings;

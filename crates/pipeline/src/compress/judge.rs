@@ -105,7 +105,8 @@ impl Judge {
     /// Mean PSNR in dB of a compressed scene, as `evaluate` measures it.
     ///
     /// # Errors
-    /// [`PipelineError::Input`] if the scene has fewer timesteps than the images; [`PipelineError::Gpu`] if the GPU fails.
+    /// [`PipelineError::Input`] if the scene has fewer timesteps than the images; [`PipelineError::Gpu`] if the GPU
+    /// fails.
     pub fn psnr(&self, compact: &CompactFile) -> Result<f64, PipelineError> {
         let needed = self.goals.last().map_or(0, |goal| goal.timestep + 1);
         if compact.num_timesteps() < needed {

@@ -1,5 +1,5 @@
-//! Finds settings for bounds on errors: each attribute that errs by too much gets finer, until none does or rounding to 16
-//! bits is what is left.
+//! Finds settings for bounds on errors: each attribute that errs by too much gets finer, until none does or rounding to
+//! 16 bits is what is left.
 
 use tcgs_codec::{CompactFile, CompressSettings};
 use tcgs_core::Attribute;
@@ -46,16 +46,16 @@ struct Bounded<'a> {
     num_stuck: i32,
 }
 
-/// Searches settings whose errors keep some bounds: those given, made finer attribute by attribute. Every setting tried is
-/// told as [`Event::Measured`].
+/// Searches settings whose errors keep some bounds: those given, made finer attribute by attribute. Every setting tried
+/// is told as [`Event::Measured`].
 ///
 /// - `pruned`: with version 2 of the format, which declares errors
 /// - `settings`: to start from
 /// - `bounds`: by name of the attribute, in the unit of [`tcgs_codec::attribute_error`], 0 or more
 ///
 /// # Errors
-/// [`PipelineError::MaxError`] if no setting keeps a bound; [`PipelineError::Input`] if the scene has no such attribute;
-/// [`PipelineError::Stopped`] if the observer broke off.
+/// [`PipelineError::MaxError`] if no setting keeps a bound; [`PipelineError::Input`] if the scene has no such
+/// attribute; [`PipelineError::Stopped`] if the observer broke off.
 pub fn search_errors(
     pruned: &PrunedScene,
     settings: &CompressSettings,

@@ -54,9 +54,9 @@ pub struct CompressOptions {
     pub position_bits: Option<u8>,
     /// Mean mask from which on a Gaussian stays; none: the run's threshold.
     pub prune: Option<f32>,
-    /// Share of the pixels of a timestep's training images below which a Gaussian is not seen. One that is never seen is left
-    /// out, unless it is in none of the images; in version 2 one that is seen no more dies. 0: all stay. Not for Gaussians that change in number or order from
-    /// timestep to timestep, of which all stay. Default 0.
+    /// Share of the pixels of a timestep's training images below which a Gaussian is not seen. One that is never seen
+    /// is left out, unless it is in none of the images; in version 2 one that is seen no more dies. 0: all stay. Not
+    /// for Gaussians that change in number or order from timestep to timestep, of which all stay. Default 0.
     pub min_share: f32,
     /// Capture for measuring sensitivities; none: the run's, or cameras around the scene.
     pub capture: Option<PathBuf>,
@@ -64,8 +64,8 @@ pub struct CompressOptions {
     pub plain: bool,
     /// Direction that points up; none: derived from the capture's cameras.
     pub up: Option<UpAxis>,
-    /// Version of the format: 1 or 2. Default: 2; version 1, for older readers, holds neither further columns nor Gaussians
-    /// that come and go, and declares no errors.
+    /// Version of the format: 1 or 2. Default: 2; version 1, for older readers, holds neither further columns nor
+    /// Gaussians that come and go, and declares no errors.
     pub version: u16,
     /// Most cameras that the file gives players to start from.
     pub views: usize,
@@ -73,13 +73,14 @@ pub struct CompressOptions {
     pub data: Vec<(String, Vec<u8>)>,
     /// Whether the file keeps the foreground marks of Gaussians. Default: it does not.
     pub marks: Marks,
-    /// Raw size above which the timesteps of a run or of a `params.npz` are read from the disk, several times, instead of
-    /// held in memory, bytes. The file is the same. Default: half a gigabyte.
+    /// Raw size above which the timesteps of a run or of a `params.npz` are read from the disk, several times, instead
+    /// of held in memory, bytes. The file is the same. Default: half a gigabyte.
     pub max_float_bytes: u64,
 }
 
 impl Default for CompressOptions {
-    /// The codec's default settings, learned bits or bits of the default range, the run's mask threshold, eight cameras.
+    /// The codec's default settings, learned bits or bits of the default range, the run's mask threshold, eight
+    /// cameras.
     fn default() -> Self {
         Self {
             keypoints: CompressSettings::default(),
@@ -203,8 +204,8 @@ impl<'a> PrunedScene<'a> {
     /// Prunes a scene by its masks (paper Eq. 6), where it has masks, and assigns bits to what stays.
     ///
     /// # Errors
-    /// [`PipelineError::Input`] if the scene is compressed already, holds a value that is not finite, or no mask is above
-    /// the threshold; [`PipelineError`] if a file of the scene or the capture cannot be read.
+    /// [`PipelineError::Input`] if the scene is compressed already, holds a value that is not finite, or no mask is
+    /// above the threshold; [`PipelineError`] if a file of the scene or the capture cannot be read.
     pub fn new(scene: &'a OpenScene, options: &CompressOptions) -> Result<Self, PipelineError> {
         options.check()?;
         if scene.num_timesteps() == 0 {
@@ -288,8 +289,8 @@ impl<'a> PrunedScene<'a> {
         }
     }
 
-    /// The scene as symbols, and the bytes of its file. A file of version 2 declares its errors, which are measured for it:
-    /// the floats are read once more.
+    /// The scene as symbols, and the bytes of its file. A file of version 2 declares its errors, which are measured for
+    /// it: the floats are read once more.
     ///
     /// # Errors
     /// [`PipelineError`] if the codec refuses the scene or the settings.
@@ -342,7 +343,8 @@ impl<'a> PrunedScene<'a> {
         }
     }
 
-    /// - `change`: what happens to the symbols before they are encoded, and the light on them; not for [`Pruned::Parts`]
+    /// - `change`: what happens to the symbols before they are encoded, and the light on them; not for
+    ///   [`Pruned::Parts`]
     fn compress_with(
         &self,
         settings: &CompressSettings,
@@ -442,7 +444,8 @@ pub fn compress_scene(scene: &OpenScene, options: &CompressOptions) -> Result<Co
 /// - `threshold`: none for the run's
 ///
 /// # Errors
-/// [`PipelineError::Input`] if no mean mask is above the threshold; [`PipelineError`] if a file of the scene is damaged.
+/// [`PipelineError::Input`] if no mean mask is above the threshold; [`PipelineError`] if a file of the scene is
+/// damaged.
 pub fn kept_gaussians(scene: &OpenScene, threshold: Option<f32>) -> Result<Vec<usize>, PipelineError> {
     let num_gaussians = scene.num_identities().unwrap_or_else(|| scene.max_gaussians());
     let (Some(run), Some(means)) = (scene.run(), scene.mean_masks()?) else { return Ok((0..num_gaussians).collect()) };

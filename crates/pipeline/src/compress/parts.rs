@@ -1,5 +1,5 @@
-//! Scenes whose Gaussians change in number or order from timestep to timestep, as programs write them that make one file
-//! a frame: part by part, with the Gaussians that are found again followed within a part.
+//! Scenes whose Gaussians change in number or order from timestep to timestep, as programs write them that make one
+//! file a frame: part by part, with the Gaussians that are found again followed within a part.
 
 use std::sync::Arc;
 

@@ -19,7 +19,8 @@ pub struct Allowance {
     /// Growth by rounding and keypoints: the quality falls from 0 until they cause about so much. None: the settings
     /// stay. Default 0.15.
     pub rounding: Option<f32>,
-    /// Growth by removal of Gaussians, of which those go first whose bytes lower the error least. Default 0.1; 0: all stay.
+    /// Growth by removal of Gaussians, of which those go first whose bytes lower the error least. Default 0.1; 0: all
+    /// stay.
     pub removal: f32,
 }
 
@@ -39,8 +40,8 @@ impl Allowance {
         Self { rounding: self.rounding.map(|rounding| share * rounding), removal: share * self.removal }
     }
 
-    /// For settings of a given quality ([`CompressSettings::with_quality`]), which stay. Above 0 each step of 1 divides the
-    /// allowed error by 4, as it does the error of rounding.
+    /// For settings of a given quality ([`CompressSettings::with_quality`]), which stay. Above 0 each step of 1 divides
+    /// the allowed error by 4, as it does the error of rounding.
     pub fn at_quality(quality: f32) -> Self {
         Self { rounding: None, removal: Self::default().removal * 4.0_f32.powf(-quality.max(0.0)) }
     }
@@ -48,7 +49,8 @@ impl Allowance {
 
 /// Fewest iterations of a refinement that takes back the whole allowance.
 const RECOVERY: f32 = 1000.0;
-/// Qualities that are chosen from, in steps of `1 / QUALITY_STEPS`. Below -2 SSIM falls faster than the squared error tells.
+/// Qualities that are chosen from, in steps of `1 / QUALITY_STEPS`. Below -2 SSIM falls faster than the squared error
+/// tells.
 const QUALITIES: Range<i32> = -8..1;
 const QUALITY_STEPS: f32 = 4.0;
 /// Largest share of the Gaussians that is removed.

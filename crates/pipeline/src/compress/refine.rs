@@ -1,5 +1,5 @@
-//! Refinement: the codes of a compressed scene, and the light on it, are trained on the images of its capture before the file is
-//! written.
+//! Refinement: the codes of a compressed scene, and the light on it, are trained on the images of its capture before
+//! the file is written.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -25,8 +25,8 @@ use crate::{Backend, Event, Observer, OpenScene, PipelineError, Work};
 pub enum RefineBudget {
     /// So many images.
     Iterations(usize),
-    /// About so long: a few iterations are timed first, and as many are done as then fit. The same number of iterations gives
-    /// the same file.
+    /// About so long: a few iterations are timed first, and as many are done as then fit. The same number of iterations
+    /// gives the same file.
     Time(Duration),
 }
 
@@ -34,8 +34,8 @@ pub enum RefineBudget {
 const LATER_SHARE: f64 = 2.0 / 15.0;
 
 impl RefineBudget {
-    /// By the scene's training: as many iterations as its first timestep had, and 2/15 of those of every timestep. A scene whose
-    /// training is not known is refined as one of preset `fast`.
+    /// By the scene's training: as many iterations as its first timestep had, and 2/15 of those of every timestep. A
+    /// scene whose training is not known is refined as one of preset `fast`.
     pub fn of(scene: &OpenScene) -> Self {
         let schedule =
             scene.run().map_or(TrainConfig::preset(Preset::Fast).schedule, |run| run.config().schedule.clone());
@@ -67,8 +67,8 @@ impl RefineOptions {
     /// - `capture`: none for the run's
     ///
     /// # Errors
-    /// [`PipelineError`] that says why it cannot be refined: it has no capture, the capture is not there or lacks a frame, or the
-    /// Gaussians of the scene change in number or order.
+    /// [`PipelineError`] that says why it cannot be refined: it has no capture, the capture is not there or lacks a
+    /// frame, or the Gaussians of the scene change in number or order.
     pub fn usual(scene: &OpenScene, capture: Option<&Path>, allowance: Allowance) -> Result<Self, PipelineError> {
         let capture = capture.or(scene.capture()).map(Path::to_path_buf).ok_or_else(|| {
             PipelineError::input(scene.path.display(), "no capture of its own", "one with the images to refine on")
@@ -98,20 +98,22 @@ pub struct Refined {
     pub iterations: usize,
     /// Quality that [`Allowance::rounding`] chose, if it did.
     pub quality: Option<f32>,
-    /// Mean loss of the images over the first and over the last pass through the timesteps, or as much as there was of it.
+    /// Mean loss of the images over the first and over the last pass through the timesteps, or as much as there was of
+    /// it.
     pub losses: [f64; 2],
 }
 
 /// Share of a budget of time in which iterations are timed.
 const TIMED_SHARE: f64 = 0.05;
 
-/// Compresses a scene as [`PrunedScene::compress`] does, with codes that were trained on the images of its capture. If the
-/// observer breaks off after the first iteration, the file has what was trained by then.
+/// Compresses a scene as [`PrunedScene::compress`] does, with codes that were trained on the images of its capture. If
+/// the observer breaks off after the first iteration, the file has what was trained by then.
 ///
 /// - `scene`: of which `pruned` is
 ///
 /// # Errors
-/// [`PipelineError::Input`] if the Gaussians of the scene change in number or order; [`PipelineError`] if the capture lacks a frame of the scene, an image cannot be read or the GPU fails.
+/// [`PipelineError::Input`] if the Gaussians of the scene change in number or order; [`PipelineError`] if the capture
+/// lacks a frame of the scene, an image cannot be read or the GPU fails.
 pub fn refine(
     scene: &OpenScene,
     pruned: &PrunedScene<'_>,
@@ -147,8 +149,8 @@ pub fn refine(
     Ok(Refined { file, compact, iterations, losses, quality })
 }
 
-/// What a file is expected to have before refining, as a share of what it may have afterwards: codes that are trained are a
-/// little harder to predict.
+/// What a file is expected to have before refining, as a share of what it may have afterwards: codes that are trained
+/// are a little harder to predict.
 const EXPECTED_SHARE: f64 = 0.92;
 /// PSNR in dB that refining is expected to gain.
 const EXPECTED_GAIN: f64 = 0.5;
@@ -171,15 +173,15 @@ pub struct RefinedWithin {
     pub psnr: f64,
 }
 
-/// [`refine`] so that the refined file meets a target: a quality is searched for what refining is expected to make of it, and
-/// searched again for more or less if it makes something else.
+/// [`refine`] so that the refined file meets a target: a quality is searched for what refining is expected to make of
+/// it, and searched again for more or less if it makes something else.
 ///
 /// - `settings`: those of quality 0
 /// - `judge`: whose images the PSNR is of
 ///
 /// # Errors
-/// As [`search`] and [`refine`]; [`PipelineError::TargetBytes`] or [`PipelineError::TargetPsnr`] if none of four refined files
-/// met the target.
+/// As [`search`] and [`refine`]; [`PipelineError::TargetBytes`] or [`PipelineError::TargetPsnr`] if none of four
+/// refined files met the target.
 #[allow(clippy::too_many_arguments, reason = "the arguments of search and of refine")]
 pub fn refine_within(
     scene: &OpenScene,

@@ -31,8 +31,8 @@ pub struct Seen {
     pub is_in_images: bool,
 }
 
-/// Looks at timesteps spread evenly, of which the first is one. At each those are drawn that live then; those born before the
-/// next look are looked at as they are born, among the others.
+/// Looks at timesteps spread evenly, of which the first is one. At each those are drawn that live then; those born
+/// before the next look are looked at as they are born, among the others.
 ///
 /// - `kept`: of at least one timestep
 /// - `lives`: `[N]`

@@ -64,7 +64,8 @@ impl SearchResult {
 /// - `settings`: those of quality 0
 ///
 /// # Errors
-/// [`PipelineError::TargetBytes`] or [`PipelineError::TargetPsnr`] if no setting meets the target; [`PipelineError::Stopped`] if the observer broke off.
+/// [`PipelineError::TargetBytes`] or [`PipelineError::TargetPsnr`] if no setting meets the target;
+/// [`PipelineError::Stopped`] if the observer broke off.
 pub fn search(
     pruned: &PrunedScene,
     settings: &CompressSettings,

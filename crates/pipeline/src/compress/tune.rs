@@ -1,5 +1,5 @@
-//! Fits the settings of the codec to one scene: fewer bytes at the same PSNR than along the curve of qualities, which has to
-//! suit all scenes.
+//! Fits the settings of the codec to one scene: fewer bytes at the same PSNR than along the curve of qualities, which
+//! has to suit all scenes.
 
 use tcgs_codec::CompressSettings;
 use tcgs_core::Attribute;
@@ -10,8 +10,8 @@ use super::target::{SearchResult, Target, search};
 use crate::observe::{TuningTrial, tell};
 use crate::{Event, Observer, PipelineError};
 
-/// A setting, by its name for people, and how it moves by some strides: tolerances as lengths and finenesses by factors, bits
-/// and exponents by sums.
+/// A setting, by its name for people, and how it moves by some strides: tolerances as lengths and finenesses by
+/// factors, bits and exponents by sums.
 struct Knob {
     name: &'static str,
     turn: fn(&mut CompressSettings, f32),
@@ -44,11 +44,12 @@ const KNOBS: [Knob; 9] = [
 const SCALES: [f32; 2] = [1.0, 0.5];
 /// Settings tried at most; each takes a compression and the pictures of the judge.
 const MAX_TRIALS: usize = 150;
-/// What a trial must gain to count, as a share of the bytes, and what all knobs must gain together to be tried once more.
+/// What a trial must gain to count, as a share of the bytes, and what all knobs must gain together to be tried once
+/// more.
 const LEAST_GAIN: f64 = 1e-4;
 const LEAST_GAIN_OF_ALL: f64 = 2e-3;
-/// Smallest gain of PSNR that a doubling of the bytes is taken to buy, dB: where more bytes show in no image, a search would
-/// only follow noise.
+/// Smallest gain of PSNR that a doubling of the bytes is taken to buy, dB: where more bytes show in no image, a search
+/// would only follow noise.
 const LEAST_SLOPE: f64 = 0.05;
 
 /// What tuning found.
@@ -69,8 +70,9 @@ impl Tuning {
     }
 }
 
-/// Coordinate descent over the settings, at equal PSNR: each is moved up and down as long as that gains, then all again with
-/// smaller strides. In the end the quality is moved until the PSNR is as high as before, or until the target is met again.
+/// Coordinate descent over the settings, at equal PSNR: each is moved up and down as long as that gains, then all again
+/// with smaller strides. In the end the quality is moved until the PSNR is as high as before, or until the target is
+/// met again.
 ///
 /// Every setting tried is told as [`Event::Tuned`], those of the searches along the quality as [`Event::Tried`].
 ///

@@ -41,8 +41,8 @@ pub struct Checkpoint {
     pub scene_radius: f32,
     /// The gate's record; empty in a run without a gate.
     pub gate: GateRecord,
-    /// `[N]` timestep since which no camera has seen the Gaussian; [`Life::NEVER`] if one saw it last. Empty if deaths are
-    /// off.
+    /// `[N]` timestep since which no camera has seen the Gaussian; [`Life::NEVER`] if one saw it last. Empty if deaths
+    /// are off.
     pub unseen: Vec<u32>,
     /// Poses at birth of the Gaussians born after the first timestep, which are the last ones.
     pub born: Pose,

@@ -14,8 +14,8 @@ pub struct DataConfig {
     pub points: String,
     /// Names of cameras that training leaves out, so that they can judge it. Default none.
     pub hold_out: Vec<String>,
-    /// Scene and timestep whose state the run starts from, as `/path/of/scene@12`; the first timestep is then trained as a
-    /// later one. Empty: from points. Default empty.
+    /// Scene and timestep whose state the run starts from, as `/path/of/scene@12`; the first timestep is then trained
+    /// as a later one. Empty: from points. Default empty.
     pub start_from: String,
     /// Index of the capture's frame that timestep 0 shows.
     pub first_frame: usize,
@@ -49,7 +49,8 @@ pub struct RateConfig {
     pub mean: f32,
     /// Colours. Default 2.5e-3 (reference).
     pub color: f32,
-    /// Coefficients of spherical harmonics, first timestep only. Default 1.25e-4, a twentieth of `color` (Kerbl et al. 2023).
+    /// Coefficients of spherical harmonics, first timestep only. Default 1.25e-4, a twentieth of `color` (Kerbl et al.
+    /// 2023).
     pub harmonic: f32,
     /// Colours after the first timestep. Reference 2.5e-3; default 5e-4, so that colours do not
     /// wander and their tracks stay simple.
@@ -63,8 +64,9 @@ pub struct RateConfig {
     /// Per-camera gain and offset, first timestep only. Default 1e-4 (reference). With `camera_centered` the rate is
     /// ten times as large if cameras differ in brightness by more than one level of 255 and 30 steps of the rate.
     pub camera: f32,
-    /// Whether the cameras' gains have a (geometric) mean of 1 and their offsets a mean of 0, so that a camera that was not
-    /// trained with sees the scene as it is. Reference false: a brightness that all cameras share may hide in them; default true.
+    /// Whether the cameras' gains have a (geometric) mean of 1 and their offsets a mean of 0, so that a camera that was
+    /// not trained with sees the scene as it is. Reference false: a brightness that all cameras share may hide in them;
+    /// default true.
     pub camera_centered: bool,
     /// Mask logits, at the reference's number of iterations; multiplied by reference / actual. Default 0.01.
     pub mask: f32,
@@ -107,9 +109,9 @@ pub struct DensifyConfig {
     /// From this iteration on too large Gaussians are removed; 0: they are not. Reference 3000; default 0.
     pub prune_large: usize,
     /// Removes Gaussians that the training images hardly need, three times between the last event and the start of
-    /// quantisation. Each time the mean squared error of these images may grow by this share; later iterations take most
-    /// of it back. In a schedule of fewer than 1000 iterations the share is smaller in proportion. 0: none are removed.
-    /// Reference 0; default 1.
+    /// quantisation. Each time the mean squared error of these images may grow by this share; later iterations take
+    /// most of it back. In a schedule of fewer than 1000 iterations the share is smaller in proportion. 0: none are
+    /// removed. Reference 0; default 1.
     pub prune_error: f32,
 }
 
@@ -203,11 +205,11 @@ pub struct BirthConfig {
     pub share: f32,
     /// Iterations of a timestep in which they learn all their attributes, if all views see them. Default 200.
     pub iterations: usize,
-    /// Timesteps after their birth in which they still learn all attributes, if the gate finds that they move or change.
-    /// After these, opacity, scales and harmonics stay. Default 16.
+    /// Timesteps after their birth in which they still learn all attributes, if the gate finds that they move or
+    /// change. After these, opacity, scales and harmonics stay. Default 16.
     pub youth: usize,
-    /// Mean NDC gradient from which a newborn is cloned or split after half of its iterations, with the other settings of
-    /// `densify`; 0: none is. Default 6e-4.
+    /// Mean NDC gradient from which a newborn is cloned or split after half of its iterations, with the other settings
+    /// of `densify`; 0: none is. Default 6e-4.
     pub gradient_threshold: f32,
 }
 
@@ -223,12 +225,13 @@ impl BirthConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DeathConfig {
-    /// Timesteps in which no training camera sees a Gaussian, after which it dies. That is judged once in as many timesteps, so
-    /// that it lives on for up to twice as many. What is at rest where it was born lives on, unless its mask hides it: it may be uncovered, and cameras may move. Needs the
-    /// gate; in a run that continues another one's state none dies. 0: none dies. Default 20; 0 in `d3dgs` and `paper`.
+    /// Timesteps in which no training camera sees a Gaussian, after which it dies. That is judged once in as many
+    /// timesteps, so that it lives on for up to twice as many. What is at rest where it was born lives on, unless its
+    /// mask hides it: it may be uncovered, and cameras may move. Needs the gate; in a run that continues another one's
+    /// state none dies. 0: none dies. Default 20; 0 in `d3dgs` and `paper`.
     pub patience: usize,
-    /// A Gaussian is not seen if it makes up less than this share of the pixels of all training images of a timestep. Default
-    /// 1e-6, below which `tcgs compress --refine` leaves it out of a file.
+    /// A Gaussian is not seen if it makes up less than this share of the pixels of all training images of a timestep.
+    /// Default 1e-6, below which `tcgs compress --refine` leaves it out of a file.
     pub share: f32,
 }
 
@@ -252,8 +255,8 @@ pub struct ColorConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RenderConfig {
-    /// Whether splats are antialiased: a splat that is widened to a pixel's extent loses as much opacity. The scene then looks
-    /// the same at other resolutions than that of training (Yu et al. 2024, Mip-Splatting). A run that continues another
-    /// scene follows that scene. Reference false; default true.
+    /// Whether splats are antialiased: a splat that is widened to a pixel's extent loses as much opacity. The scene
+    /// then looks the same at other resolutions than that of training (Yu et al. 2024, Mip-Splatting). A run that
+    /// continues another scene follows that scene. Reference false; default true.
     pub antialiased: bool,
 }

@@ -256,7 +256,8 @@ impl TrainConfig {
     /// let mut config = tcgs_train::TrainConfig::default();
     /// config.set("weights.rigid", "2.5").unwrap();
     /// assert_eq!(config.weights.rigid, 2.5);
-    /// assert!(config.set("weights.rigit", "2.5").unwrap_err().to_string().starts_with("unknown setting weights.rigit"));
+    /// assert!(config.set("weights.rigit", "2.5").unwrap_err().to_string().starts_with("unknown setting
+    /// weights.rigit"));
     /// ```
     ///
     /// # Errors

@@ -1,7 +1,8 @@
 //! Pruning by a measured error: removes Gaussians that the training images hardly need.
 //!
-//! The order of removal comes from an estimate for each Gaussian. The number comes from pictures drawn without the removed
-//! ones. Estimates alone do not give it, because neighbours that are removed together cost more than the sum of both.
+//! The order of removal comes from an estimate for each Gaussian. The number comes from pictures drawn without the
+//! removed ones. Estimates alone do not give it, because neighbours that are removed together cost more than the sum of
+//! both.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -168,9 +169,9 @@ fn draw_all(gaussians: &Gaussians, is_hidden: &[bool], cameras: &[Camera], mut s
 
 /// Estimates, for each Gaussian, the sum of squared changes of all colour values of all pictures when it is removed.
 ///
-/// A pixel is affine in the opacity of each Gaussian, so a removal changes it by opacity times derivative. Hutchinson (1989):
-/// the sum of squares of these changes is the expected square of their sum with random signs. One backward pass with random
-/// signs as `∂L/∂image` gives one sample for every Gaussian.
+/// A pixel is affine in the opacity of each Gaussian, so a removal changes it by opacity times derivative. Hutchinson
+/// (1989): the sum of squares of these changes is the expected square of their sum with random signs. One backward pass
+/// with random signs as `∂L/∂image` gives one sample for every Gaussian.
 ///
 /// - `is_hidden`: `[N]`
 /// - returns: `[N]`
