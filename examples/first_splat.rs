@@ -14,7 +14,7 @@ fn main() -> anyhow::Result<()> {
         logit_opacities: vec![3.0, 3.0, 1.0],
         colors: vec![[0.9, 0.3, 0.2], [0.2, 0.5, 0.9], [0.95, 0.8, 0.3]],
     });
-    // Axes: x right, y down, z forward. What is up has a negative y.
+    // Axes: x right, y down, z forward. Up is negative y.
     let camera = Camera::look_at([0.0, 0.0, -2.5], [0.0; 3], [0.0, -1.0, 0.0], 500.0, 640, 480);
 
     let activated = activate(&scene);

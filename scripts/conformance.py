@@ -24,7 +24,7 @@ def bits(value): return struct.unpack('<I', struct.pack('<f', value))[0]
 def first_difference(found, scene, expected):
     """Where the floats of a decoder differ from those expected; None if nowhere."""
     names, components, at = scene.names(), scene.components(), 0
-    # What a vector says of some timesteps; the decoder in Python says the others.
+    # The floats of some timesteps from a vector; the decoder in Python gives the others.
     known = {at['timestep']: [at['values'][name] for name in names] for at in expected['reconstructed']}
     for t in range(scene.info['num_timesteps']):
         values = [[reference.f32(float(x)) for x in values] for values in known[t]] if t in known else scene.at(t)
@@ -85,7 +85,7 @@ def main():
     options = parser.parse_args()
     # Files of a version to decode, and to refuse.
     folders = {1: ('v1', 'refused'), 2: ('v2', 'refused_v2')}
-    # What a decoder has to do, the file, and what is wrong with it.
+    # The task of a decoder, the file, and the fault of the file.
     tasks = []
     for version in [options.version] if options.version else folders:
         vectors, refused = (FOLDER / name for name in folders[version])

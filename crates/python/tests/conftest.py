@@ -1,4 +1,4 @@
-"""What several tests take: a small capture, and a run that was trained on it."""
+"""Fixtures of several tests: a small capture, and a run that was trained on it."""
 
 from __future__ import annotations
 

@@ -194,7 +194,7 @@ impl Refiner {
                     let range = piece.starts[i] - piece.starts[0]..piece.starts[i + 1] - piece.starts[0];
                     let (before, fraction) = locate(&piece.times[range.clone()], timestep);
                     let v_code = v_values[track] * quantizer.step;
-                    // What the view does not show is left alone.
+                    // Gaussians outside of the view do not change.
                     if v_code == 0.0 {
                         continue;
                     }

@@ -216,6 +216,6 @@ pub fn page(plan: &TablePlan, shown: &Shown, results: &Results) -> String {
             writeln!(all, "<details><summary>{} at {commits}</summary><pre>{commands}</pre></details>", escape(key));
         all
     });
-    section(&mut page, "Commands", "What made each number, and the commit of the program.", &commands);
+    section(&mut page, "Commands", "The command behind each number, and the commit of the program.", &commands);
     document(&plan.table.title, &page)
 }

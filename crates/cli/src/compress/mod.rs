@@ -366,7 +366,7 @@ fn compress(
     })
 }
 
-/// What a search found, in words and for machines.
+/// The result of a search, in words and for machines.
 struct Found {
     text: String,
     /// In the result for machines.
@@ -463,7 +463,7 @@ fn check_source(arguments: &Arguments, scene: &OpenScene) -> anyhow::Result<()> 
     }
 }
 
-/// What the command line says, over the preset.
+/// The options of the command line, over the preset.
 ///
 /// - `is_refined`: whether the file will be
 fn options(arguments: &Arguments, scene: &OpenScene, is_refined: bool) -> anyhow::Result<CompressOptions> {

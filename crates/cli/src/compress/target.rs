@@ -1,4 +1,4 @@
-//! What a search for a size or a quality found, in words and for machines.
+//! The result of a search for a size or a quality, in words and for machines.
 
 use serde_json::{Map, Value, json};
 use tcgs_codec::CompressSettings;
@@ -61,7 +61,7 @@ fn settings(settings: &CompressSettings) -> Value {
     })
 }
 
-/// What tuning found, in words and for machines.
+/// The result of tuning, in words and for machines.
 pub fn describe_tuning(tuning: &Tuning, target: Option<Target>, judge: &Judge) -> (String, Value) {
     let ((bytes_before, psnr_before), Trial { bytes, psnr, .. }) = (tuning.start, tuning.found.trial);
     let text = format!(

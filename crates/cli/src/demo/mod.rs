@@ -41,7 +41,7 @@ const OURS: [&str; 6] = [MARKER, "capture", "run", "scene.tcgs", "frames", "repo
 /// on the images of all timesteps, and measures on held-out cameras. The folder then holds capture/, run/, scene.tcgs,
 /// frames/ (ground truth beside render) and report.html.
 #[derive(clap::Args)]
-#[command(mut_arg("backend", |backend| backend.help("What computes [default: cpu; with --device: gpu]")))]
+#[command(mut_arg("backend", |backend| backend.help("Device of the computation [default: cpu; with --device: gpu]")))]
 #[command(after_help = "\
 Example:
   tcgs demo

@@ -263,7 +263,7 @@ fn with_advice(error: anyhow::Error, run: &Run) -> anyhow::Error {
             return stopped(format!("{finished} of {wanted} timesteps are trained; --resume goes on after them"));
         }
         Some(PipelineError::Train(TrainError::NotFinite { .. })) => {
-            "begin anew with lower rates, such as --set rates.mean=8e-5"
+            "begin again with lower rates, such as --set rates.mean=8e-5"
         }
         Some(PipelineError::Train(TrainError::Write { .. })) => {
             "make room, then --resume goes on after the last whole checkpoint"

@@ -344,7 +344,7 @@ fn a_run_that_diverges_stops_with_its_checkpoints() {
     let run = folder.path().join("run");
     let message = fail(1, &[&arguments(&run)[..], &["--set", "rates.color_rest=1e38"]].concat());
     assert!(message.contains("timestep 1") && message.contains("iteration"), "{message}");
-    assert!(message.contains("begin anew with lower rates"), "{message}");
+    assert!(message.contains("begin again with lower rates"), "{message}");
     assert_eq!(checkpoints(&run).len(), 1);
     tcgs_train::Run::open(&run).unwrap().trained().unwrap();
 }

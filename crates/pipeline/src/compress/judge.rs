@@ -42,7 +42,7 @@ struct Goal {
 pub struct Judge {
     /// By time.
     goals: Vec<Goal>,
-    /// What the images are, in words.
+    /// The kind of images, in words.
     pub of: String,
     /// Whether they are a capture's.
     pub of_capture: bool,

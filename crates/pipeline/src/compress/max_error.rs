@@ -19,7 +19,7 @@ const LEAST_FALL: f64 = 0.8;
 /// and made finer by this, and by its square if it still is.
 const STRIDE: f64 = 16.0;
 
-/// What a search found.
+/// The result of a search.
 #[derive(Clone, Debug)]
 pub struct ErrorSearch {
     /// All settings tried, in order; the last is the chosen one.
@@ -40,7 +40,7 @@ struct Bounded<'a> {
     last: f64,
     /// Whether quantizers cover all of its values: the errors of outliers that were cut off say nothing of the others.
     is_covered: bool,
-    /// By which it is finer than at first.
+    /// Ratio of the first value to the present one.
     factor: f64,
     /// How often in a row that did not help.
     num_stuck: i32,
@@ -107,7 +107,7 @@ impl<'a> Bounded<'a> {
         Self { name, wanted, smallest: f64::INFINITY, last: f64::INFINITY, is_covered, factor: 1.0, num_stuck: 0 }
     }
 
-    /// By which to make it finer now.
+    /// Divisor that makes it finer now.
     fn next_factor(&mut self, error: f64) -> f64 {
         if !self.is_covered {
             self.is_covered = true;
@@ -121,7 +121,7 @@ impl<'a> Bounded<'a> {
     }
 
     fn out_of_reach(&self) -> PipelineError {
-        // Rounded up to the digits that are said, so that what is named can be reached.
+        // Rounded up to the printed digits, so that the printed value can be reached.
         let unit = 10.0_f64.powf(self.smallest.log10().floor() - 3.0);
         let smallest = if unit.is_normal() { (self.smallest / unit).ceil() * unit } else { self.smallest };
         PipelineError::MaxError { attribute: self.name.to_owned(), wanted: self.wanted, smallest }

@@ -507,7 +507,7 @@ fn bits(
     Ok((bit_map, from))
 }
 
-/// What describes a scene, but for its counts.
+/// The description of a scene without its counts.
 fn info(scene: &OpenScene, up: UpAxis) -> SceneInfo {
     let source = scene.capture().map_or_else(|| scene.path.with_extension(""), Path::to_path_buf);
     SceneInfo {

@@ -17,7 +17,7 @@ use crate::{OpenScene, PipelineError};
 const MAX_TIMESTEPS: usize = 50;
 /// Floats of a part at most, about: longer ones of larger scenes would not fit into memory.
 const MAX_FLOATS: usize = 1 << 28;
-/// Of so many pairs of successive timesteps is looked whether they say which Gaussian is which.
+/// Number of pairs of successive timesteps that tell whether the files say which Gaussian is which.
 const PAIRS: usize = 3;
 
 /// A scene in parts.

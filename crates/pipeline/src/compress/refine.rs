@@ -149,8 +149,8 @@ pub fn refine(
     Ok(Refined { file, compact, iterations, losses, quality })
 }
 
-/// What a file is expected to have before refining, as a share of what it may have afterwards: codes that are trained
-/// are a little harder to predict.
+/// Expected bytes of a file before refining, as a share of the bytes allowed afterwards: trained codes are a little
+/// harder to predict.
 const EXPECTED_SHARE: f64 = 0.92;
 /// PSNR in dB that refining is expected to gain.
 const EXPECTED_GAIN: f64 = 0.5;
@@ -167,7 +167,7 @@ const MAX_TRIES: usize = 4;
 pub struct RefinedWithin {
     /// Quality, size and PSNR before refining.
     pub before: SearchResult,
-    /// What came of it.
+    /// Its result.
     pub refined: Refined,
     /// Mean PSNR in dB of the refined scene on the judge's images.
     pub psnr: f64,
@@ -203,7 +203,7 @@ pub fn refine_within(
     let Chosen { pruned, .. } = &images.choose(pruned, settings, allowance, observer)?;
     let options = &RefineOptions { allowance: Allowance::NONE, ..options.clone() };
     let mut best: Option<RefinedWithin> = None;
-    // What the tries came to: the fewest bytes, the highest PSNR.
+    // The best of the tries: the fewest bytes, the highest PSNR.
     let (mut smallest, mut highest) = (u64::MAX, f64::MIN);
     let mut is_at_the_end = false;
     for _ in 0..MAX_TRIES {

@@ -35,7 +35,7 @@ pub enum Target {
     Psnr(f64),
 }
 
-/// What a search found.
+/// The result of a search.
 #[derive(Clone, Debug)]
 pub struct SearchResult {
     /// The chosen setting; its PSNR was measured.
@@ -154,7 +154,7 @@ impl Target {
         self.is_met(trial) && self.excess(trial).abs() <= close / 2.0
     }
 
-    /// Of two that meet the target.
+    /// The better of two that meet the target.
     fn prefers(self, trial: &Trial, other: &Trial) -> bool {
         match self {
             Self::Bytes(_) => trial.steps > other.steps,

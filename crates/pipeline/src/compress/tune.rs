@@ -102,7 +102,7 @@ pub fn tune(
     let Tuner { start, trials, .. } = tuner;
     let aim = target.unwrap_or(Target::Psnr(start.psnr));
     let found = match search(pruned, &best, aim, judge, observer) {
-        // What nearly met the target before may miss it after.
+        // Settings that nearly met the target before may miss it after.
         Err(PipelineError::TargetPsnr { .. } | PipelineError::TargetBytes { .. }) => None,
         found => Some(found?),
     };
@@ -117,7 +117,7 @@ pub fn tune(
     Ok(Tuning { start: (start.bytes, start.psnr), trials, found })
 }
 
-/// What came of some settings.
+/// The result of some settings.
 #[derive(Clone, Copy, Default)]
 struct Measured {
     bytes: u64,
@@ -134,7 +134,7 @@ impl Measured {
 struct Tuner<'a> {
     pruned: &'a PrunedScene<'a>,
     judge: &'a Judge,
-    /// What a doubling of the bytes buys along the curve of qualities, dB.
+    /// Gain of a doubling of the bytes along the curve of qualities, dB.
     slope: f64,
     start: Measured,
     trials: Vec<TuningTrial>,

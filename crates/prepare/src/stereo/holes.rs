@@ -37,7 +37,7 @@ pub fn close_holes(cloud: &PointCloud, cameras: &[Camera]) -> PointCloud {
     let shell = Shell::fit(&pinholes, &positions, 0.0);
 
     let mut between = between_ends(&between(cameras, factor), std::slice::from_ref(&points), &shell);
-    // What a training image shows is left to the given points and to density control.
+    // Given points and density control fill the space that a training image shows.
     between.retain(|point| pinholes.iter().all(|pinhole| pinhole.pixel(point.position).is_none()));
     let outside = outside_ends(&pinholes, &shell, points.len());
     let mut closed = cloud.clone();

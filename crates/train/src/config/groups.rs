@@ -73,10 +73,10 @@ pub struct RateConfig {
     /// Learned steps, times the step they start from. Paper 0.02; default 0.002, with which values keep
     /// up with their steps: the faster rate costs 0.2 dB.
     pub step: f32,
-    /// What the means' and rotations' rates are multiplied by after the first timestep; 0: reference
-    /// iterations / actual, so that a short schedule can still follow fast motion. Default 0.
+    /// Factor of the means' and rotations' rates after the first timestep. 0 stands for reference iterations / actual,
+    /// so that a short schedule can still follow fast motion. Default 0.
     pub motion_scale: f32,
-    /// Whether Adam's bias correction starts anew at every timestep. Reference false: the first steps
+    /// Whether Adam's bias correction starts again at every timestep. Reference false: the first steps
     /// are then about three times the rate. Default true, which follows motion better and drifts less.
     pub reset_steps: bool,
     /// Share of the rates of means, rotations, colours and steps left at the end of every timestep after
@@ -84,8 +84,8 @@ pub struct RateConfig {
     pub motion_decay: f32,
     /// Likewise for every rate of the first timestep but the mask's. Reference 1; default 0.1.
     pub first_decay: f32,
-    /// What the rates of scales, rotations, means and cameras of the first timestep are multiplied by; 0: the
-    /// square root of reference iterations / actual. Reference 1; default 0.
+    /// Factor of the rates of scales, rotations, means and cameras of the first timestep. 0 stands for the square root
+    /// of reference iterations / actual. Reference 1; default 0.
     pub first_scale: f32,
 }
 

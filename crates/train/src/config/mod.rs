@@ -44,7 +44,7 @@ pub struct TrainConfig {
     pub deaths: DeathConfig,
     /// Colours that depend on the direction of view.
     pub color: ColorConfig,
-    /// What drawing does with the Gaussians.
+    /// How the Gaussians are drawn.
     pub render: RenderConfig,
 }
 

@@ -32,8 +32,8 @@ const MOST_REMOVED: f32 = 0.4;
 /// A wall of points at the initial opacity of 0.5 shows what lies behind it.
 const OPAQUE: f32 = 3.0;
 
-/// Growth of the scales of what only cameras between show, at each removal, as its logarithm. It closes gaps. What
-/// stands in no image does not grow: it may stand close to other cameras, and would veil them.
+/// Growth of the scales of what only cameras between show, at each removal, as its logarithm. It closes gaps. Gaussians
+/// in no image do not grow: they may stand close to other cameras, and would veil them.
 const GROWTH: f32 = 0.3;
 
 /// Largest scale of a Gaussian, in spacings of as many Gaussians that lie evenly in all directions around the nearest

@@ -37,8 +37,8 @@ pub(super) fn unseen_last(cloud: &PointCloud, cameras: &[Camera]) -> (PointCloud
     (ordered, num_unseen)
 }
 
-/// Shrinks the Gaussians that are not trained, since they are in no image, until none reaches into one: what is not
-/// trained must not cover what is.
+/// Shrinks the untrained Gaussians, which are in no image, until none reaches into an image. There it would cover what is
+/// trained.
 pub(crate) fn keep_out(state: &mut State, cameras: &[Camera]) {
     let first = state.num_trained();
     let pinholes: Vec<Pinhole<f32>> = cameras.iter().map(Pinhole::new).collect();
