@@ -5,6 +5,7 @@
 
 mod bad_input;
 mod births;
+mod points;
 mod progress;
 mod rate;
 mod seen;

@@ -62,7 +62,6 @@ pub struct Trainer {
     gate: Option<Gate>,
     scene_radius: f32,
     camera_ids: Vec<usize>,
-    coarse: Vec<(usize, Vec<crate::engine::Target>)>,
     /// Whether [`Self::fit`] ended within a timestep.
     is_unfinished: bool,
     /// Whether the run continues another one's state, so that its first timestep is trained as a later one.
@@ -147,7 +146,6 @@ impl Trainer {
             gate: gate(config, GateRecord::default()),
             scene_radius: radius,
             camera_ids: Vec::new(),
-            coarse: Vec::new(),
             is_unfinished: false,
             continues: false,
         })
@@ -229,7 +227,6 @@ impl Trainer {
             gate: gate(config, last.gate.clone()),
             scene_radius: radius,
             camera_ids: Vec::new(),
-            coarse: Vec::new(),
             is_unfinished: false,
             continues,
         }

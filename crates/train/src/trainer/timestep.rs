@@ -64,30 +64,6 @@ impl Trainer {
         match &mut activity {
             Some(activity) => self.fit_activity(targets, activity, observe)?,
             None => {
-                self.coarse = Vec::new();
-                let mut targets = targets;
-                if phase == Phase::First {
-                    if let Ok(plan) = std::env::var("TCGS_COARSE") {
-                        for part in plan.split(',') {
-                            let (factor, until) = part.split_once(':').unwrap();
-                            let (factor, until): (usize, f64) = (factor.parse().unwrap(), until.parse().unwrap());
-                            let small: Vec<View> = views
-                                .iter()
-                                .map(|view| View {
-                                    camera: view.camera.downscaled(factor),
-                                    image: view.image.downscaled(factor),
-                                    segmentation: view.segmentation.as_ref().map(|s| s.downscaled(factor)),
-                                    ..view.clone()
-                                })
-                                .collect();
-                            let until = (until * self.solver.schedule.iterations(phase) as f64) as usize;
-                            self.coarse.push((until, Target::of_all(&small)));
-                        }
-                        self.coarse.push((usize::MAX, std::mem::take(&mut targets)));
-                        self.coarse.reverse();
-                        targets = self.coarse.last().unwrap().1.clone();
-                    }
-                }
                 self.solver.engine.begin(targets, None)?;
                 let pace = Pace::even(self.solver.schedule.iterations(phase), views.len());
                 let iterations = self.solver.iterations(phase, (0..views.len()).collect(), pace, None);
@@ -145,11 +121,6 @@ impl Trainer {
         observe: Observer<'_>,
     ) -> Result<(), TrainError> {
         while let Some(iteration) = self.solver.next(&mut iterations) {
-            if self.coarse.last().is_some_and(|c| iteration >= c.0) {
-                self.coarse.pop();
-                let targets = self.coarse.last().unwrap().1.clone();
-                self.solver.engine.begin(targets, None)?;
-            }
             if phase == Phase::First && self.solver.schedule.starts_quantization(iteration) {
                 self.start_quantization(views)?;
             }
