@@ -3,7 +3,6 @@
 //! What lives here: the questions that an open capture answers. What does not: reading the folder of each kind
 //! (`kinds`), and turning one camera's images into views (`footage`).
 
-use std::f64::consts::PI;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -20,9 +19,9 @@ use crate::{CaptureError, Origin, kinds, points_in_view};
 
 /// Least share of points with a measured depth for good pictures from between the cameras.
 pub const MOSTLY_MEASURED: f64 = 0.5;
-/// Largest angle between two cameras between which pictures are good, radians: 60 degrees. Stereo does not compare
-/// cameras that are much farther apart.
-const BETWEEN: f64 = 60.0 / 180.0 * PI;
+/// Largest angle between two cameras between which pictures are good. Stereo does not compare cameras that are much
+/// farther apart.
+pub const BETWEEN_DEGREES: f64 = 60.0;
 
 /// Selects the training cameras, the test cameras, or both.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -349,7 +348,7 @@ impl Capture {
     /// As [`Self::measured_share`].
     pub fn trust(&self, cameras: &[Camera], center: [f64; 3]) -> Result<Trust, CaptureError> {
         let is_measured = self.measured_share()?.is_none_or(|share| share >= MOSTLY_MEASURED);
-        Ok(Trust::of(cameras, center, if is_measured { BETWEEN } else { 0.0 }))
+        Ok(Trust::of(cameras, center, if is_measured { BETWEEN_DEGREES.to_radians() } else { 0.0 }))
     }
 
     /// The initial points whose depth is measured; all points if their file does not say how they were made.

@@ -43,7 +43,7 @@ mod video;
 
 pub use builder::{CameraBuilder, CaptureBuilder};
 pub use calibration::{CalibratedCamera, Calibration};
-pub use capture::{Capture, MOSTLY_MEASURED, Split};
+pub use capture::{BETWEEN_DEGREES, Capture, MOSTLY_MEASURED, Split};
 pub use colmap::{ColmapModel, PosedImage};
 pub use description::{
     CalibrationSource, CaptureDescription, ClockSource, ColorSource, DESCRIPTION_FILE, DescribedCamera, Role,

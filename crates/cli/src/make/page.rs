@@ -18,7 +18,6 @@ use crate::export::MAX_PAGE_SCENE;
 use crate::next;
 use crate::output::show_bytes;
 use crate::pictures::{rgb, series, side_by_side, spread};
-use crate::prepare::expectation;
 use crate::scene::describe_trust;
 use crate::teller::Teller;
 
@@ -188,7 +187,7 @@ fn prepared(folder: &Path) -> Value {
 fn uncertain(prepared: &Value, record: &Record, held_out: bool) -> Vec<String> {
     let check = &prepared["check"];
     let mut lines = Vec::new();
-    lines.extend(check["measured_share"].as_f64().map(expectation));
+    lines.extend(check["expectation"].as_str().map(str::to_owned));
     for finding in check["findings"].as_array().into_iter().flatten() {
         let names: Vec<&str> = finding["names"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
         let text = |key: &str| finding[key].as_str().unwrap_or_default().to_owned();

@@ -21,7 +21,6 @@ use crate::options::{self, JobOptions};
 use crate::output::{check_files, check_folder, write_file_with};
 use crate::teller::Teller;
 use crate::terminal::{note, say};
-pub use check::expectation;
 use words::Words;
 
 /// Make a capture of videos, make initial points for a capture, or check a capture
