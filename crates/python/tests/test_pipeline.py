@@ -181,8 +181,8 @@ def test_targets_are_met(run: Path, capture: Path, tmp_path: Path) -> None:
     plain = tcgs.compress(run, tmp_path / "plain.tcgs", refine="off", **quiet)
     small = tcgs.compress(run, tmp_path / "small.tcgs", target_bytes=plain.bytes * 2 // 3, **quiet)
     assert plain.bytes // 2 < small.bytes <= plain.bytes * 2 // 3
-    fine = tcgs.compress(run, tmp_path / "fine.tcgs", max_error={"means": 1e-4}, **quiet)
-    assert fine.declared_errors["means"] <= 1e-4 < plain.declared_errors["means"]
+    fine = tcgs.compress(run, tmp_path / "fine.tcgs", max_error={"means": 2e-4}, **quiet)
+    assert fine.declared_errors["means"] <= 2e-4 < plain.declared_errors["means"] / 2
     refined = tcgs.compress(run, tmp_path / "refined.tcgs", refine=100, **quiet)
     psnr = [tcgs.evaluate(scene, capture, cameras="train", **quiet)["psnr"] for scene in (plain, refined)]
     assert psnr[1] > psnr[0] + 0.5

@@ -34,9 +34,9 @@ def test_a_killed_worker_changes_no_byte(tmp_path: Path) -> None:
     capture = tmp_path / "capture"
     tcgs.make_demo_capture(capture, width=64, height=48, frames=16, points=1500)
     whole, killed = tmp_path / "whole", tmp_path / "killed"
-    example = [sys.executable, EXAMPLE, capture]
+    example = [sys.executable, str(EXAMPLE), str(capture)]
     options = ["--chapters", "2", "--iterations", "60", "30"]
-    with subprocess.Popen([*example, killed, *options]) as running:
+    with subprocess.Popen([*example, str(killed), *options]) as running:
         checkpoint = killed / "chapter1" / "checkpoints" / "000002.npz"
         while not checkpoint.exists():
             assert running.poll() is None, "the example ended before a worker was killed"
@@ -46,6 +46,6 @@ def test_a_killed_worker_changes_no_byte(tmp_path: Path) -> None:
         for worker in found:
             os.kill(worker, signal.SIGKILL)
         assert running.wait(timeout=300) == 0
-    subprocess.run([*example, whole, *options], check=True, timeout=300)
+    subprocess.run([*example, str(whole), *options], check=True, timeout=300)
     assert (killed / "scene.tcgs").read_bytes() == (whole / "scene.tcgs").read_bytes()
     assert len(tcgs.open(whole / "scene.tcgs")) == 16
