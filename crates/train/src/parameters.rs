@@ -27,7 +27,7 @@ pub struct Parameters {
 }
 
 /// Smallest mean squared distance from which an initial scale is taken.
-const MIN_SQUARED_DISTANCE: f32 = 1e-7;
+pub(crate) const MIN_SQUARED_DISTANCE: f32 = 1e-7;
 
 impl Parameters {
     /// Gaussians at the points of a cloud: isotropic, as large as the root mean squared distance to

@@ -128,8 +128,9 @@ fn expectation(measured_share: f64, gaps: &[String]) -> String {
     format!("{percent:.0} % of the points have no measured depth: expect good pictures {where_good}")
 }
 
-/// Pairs of neighbouring cameras that look in too different directions for pictures from between them, the widest first:
-/// `3 and 7 (92°)`. Cameras are neighbours if the direction of no third one is nearer to both than they are to each other.
+/// Pairs of neighbouring cameras that look in too different directions for pictures from between them, the widest
+/// first: `3 and 7 (92°)`. Two cameras are neighbours unless a third one's direction is nearer to both than they are
+/// to each other.
 ///
 /// - `names`: of the cameras, likewise ordered
 fn gaps(names: &[String], cameras: &[Camera]) -> Vec<String> {

@@ -69,9 +69,9 @@ pub struct CompressSettings {
     /// the width of positions is that of the bit map, and the codes cover the range along each axis. Default 11; 0 in
     /// the paper.
     pub position_fineness: f32,
-    /// By [`Attribute::index`]: whether quantizers cover all values, and are fitted again. Where not, learned ones stay,
-    /// and outliers may be cut off for a smaller mean error, so that the largest error has no bound. Those of positions
-    /// cover all in any case. Default false.
+    /// By [`Attribute::index`]: whether quantizers cover all values, and are fitted again. Where not, learned ones
+    /// stay, and outliers may be cut off for a smaller mean error, so that the largest error has no bound. Quantizers
+    /// of positions cover all in any case. Default false.
     pub covers_outliers: [bool; 5],
 }
 

@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use tcgs_capture::{Capture, SyntheticSettings, write_synthetic};
+use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
 use tcgs_core::{Pinhole, distance};
 use tcgs_pipeline::{Backend, new_trainer, settings_for};
 use tcgs_train::Preset;
@@ -19,7 +19,7 @@ fn given_points_get_a_shell_that_stays_out_of_the_images() {
         let capture = Capture::open(&path.join("capture")).unwrap();
         let mut trainer = new_trainer(&settings_for(preset, &capture), &capture, &Backend::Cpu).unwrap();
         let gaussians = trainer.state().unwrap().parameters.gaussians.clone();
-        let cameras = capture.cameras(tcgs_capture::Split::Train, 0, 1).unwrap();
+        let cameras = capture.cameras(Split::Train, 0, 1).unwrap();
         (gaussians, cameras)
     };
     let (closed, cameras) = means_of("default", 4000, Preset::Default);

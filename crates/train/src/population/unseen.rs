@@ -3,13 +3,11 @@
 use rayon::prelude::*;
 use tcgs_core::{Camera, Pinhole, PointCloud};
 
+use crate::parameters::MIN_SQUARED_DISTANCE;
 use crate::state::State;
 
 /// Standard deviations within which a Gaussian covers anything.
 const REACH: f32 = 3.0;
-
-/// Smallest scale, scene units.
-const SMALLEST: f32 = 1e-4;
 
 /// Whether each point is in the image of a camera, hidden or not.
 ///
@@ -48,7 +46,7 @@ pub(crate) fn keep_out(state: &mut State, cameras: &[Camera]) {
         .map(|&mean| pinholes.iter().map(|pinhole| outside_by(pinhole, mean)).fold(f32::INFINITY, f32::min))
         .collect();
     for (log_scales, limit) in gaussians.log_scales_mut()[first..].iter_mut().zip(limits) {
-        let largest = (limit / REACH).max(SMALLEST).ln();
+        let largest = (limit / REACH).max(MIN_SQUARED_DISTANCE.sqrt()).ln();
         *log_scales = log_scales.map(|log_scale| log_scale.min(largest));
     }
 }
