@@ -99,9 +99,11 @@ pub fn obstacle_to_masks(capture: &Capture) -> Result<Option<String>, PrepareErr
 /// use tcgs_capture::{Capture, SyntheticSettings, write_synthetic};
 /// use tcgs_prepare::{MaskSettings, make_masks};
 /// let folder = tempfile::tempdir()?;
-/// write_synthetic(folder.path(), &SyntheticSettings { width: 48, height: 36, num_timesteps: 8, ..Default::default()
-/// })?; let capture = Capture::open(folder.path())?; let mut num_masks = 0; let mut write = |_frame, _camera_id, mask:
-/// &tcgs_core::Segmentation| {
+/// let small = SyntheticSettings { width: 48, height: 36, num_timesteps: 8, ..Default::default() };
+/// write_synthetic(folder.path(), &small)?;
+/// let capture = Capture::open(folder.path())?;
+/// let mut num_masks = 0;
+/// let mut write = |_frame, _camera_id, mask: &tcgs_core::Segmentation| {
 ///     num_masks += usize::from((mask.width, mask.height) == (48, 36));
 ///     ControlFlow::Continue(())
 /// };

@@ -256,8 +256,8 @@ impl TrainConfig {
     /// let mut config = tcgs_train::TrainConfig::default();
     /// config.set("weights.rigid", "2.5").unwrap();
     /// assert_eq!(config.weights.rigid, 2.5);
-    /// assert!(config.set("weights.rigit", "2.5").unwrap_err().to_string().starts_with("unknown setting
-    /// weights.rigit"));
+    /// let unknown = config.set("weights.rigit", "2.5").unwrap_err();
+    /// assert!(unknown.to_string().starts_with("unknown setting weights.rigit"));
     /// ```
     ///
     /// # Errors
