@@ -177,7 +177,7 @@ pub struct GateConfig {
     /// Default 0.4; 0 makes every Gaussian active that a changed block shows.
     pub share: f32,
     /// A timestep has settled when its losses fell, over the last pass through its views, by less than this share of
-    /// the most that they fell over one pass. It then goes through the rest of its schedule faster. Default 0.05.
+    /// the most that they fell over one pass. It then goes through the rest of its schedule faster. Default 0.2.
     pub settle: f32,
     /// Whether active Gaussians start where matches between a timestep's images and those before find them, instead of
     /// where they would be at constant velocity, if these explain the images much better. Default true; false in
@@ -187,7 +187,7 @@ pub struct GateConfig {
 
 impl GateConfig {
     /// The settings of presets `default` and `fast`.
-    pub const ON: Self = Self { enabled: true, share: 0.4, settle: 0.05, matches: true };
+    pub const ON: Self = Self { enabled: true, share: 0.4, settle: 0.2, matches: true };
 
     /// The settings of presets that train everything, and of runs whose `config.toml` knows of no gate.
     pub const OFF: Self = Self { enabled: false, matches: false, ..Self::ON };
