@@ -28,4 +28,4 @@ pub use settings::RenderSettings;
 pub use stage_times::{Laps, PairCounts, RENDER_STAGES, StageTimes};
 pub use tile_mask::TileMask;
 pub use tiling::{TILE, tile_grid};
-pub use weights::{blending_weights, weights_step};
+pub use weights::weights_step;

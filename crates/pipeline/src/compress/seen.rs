@@ -6,7 +6,7 @@
 use std::ops::Range;
 
 use tcgs_core::{Camera, Gaussians, Image, Life, Lives, activate, cameras_between};
-use tcgs_render::{CpuRasterizer, blending_weights, weights_step};
+use tcgs_render::{CpuTiles, weights_step};
 use tcgs_train::are_in_images;
 
 use super::kept::Kept;
@@ -98,7 +98,7 @@ fn weights_of(gaussians: &Gaussians, cameras: &[Camera]) -> Vec<f32> {
     let mut weights = vec![0.0_f32; gaussians.num_gaussians()];
     for camera in cameras {
         let ones = Image::filled(camera.width, camera.height, 1, 1.0);
-        let Ok(of_view) = blending_weights(&CpuRasterizer, &drawn, camera, &ones);
+        let of_view = CpuTiles::new(&drawn, camera).weights(&ones);
         weights.iter_mut().zip(of_view).for_each(|(sum, weight)| *sum += weight);
     }
     weights

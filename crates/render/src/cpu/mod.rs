@@ -13,7 +13,7 @@ use std::time::Instant;
 use rayon::prelude::*;
 use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
 
-use self::rasterize::{TileImage, rasterize_bwd, rasterize_fwd};
+use self::rasterize::{TileImage, rasterize_bwd, rasterize_fwd, rasterize_weights};
 use self::tiles::Tiles;
 pub use self::tiles::{count_pairs, gaussians_reaching, tiles_reached};
 use crate::project::{SplatCamera, kept_opacity_vjp, project_vjp};
@@ -40,7 +40,7 @@ use crate::{Draw, Laps, PairCounts, Rasterizer, RenderGrads, RenderOutput, Rende
 #[derive(Clone, Copy, Debug, Default)]
 pub struct CpuRasterizer;
 
-/// The splats of one rendering, sorted for each tile: saved by [`CpuRasterizer::forward_in`] for
+/// The splats of one rendering, sorted for each tile. [`CpuRasterizer::forward_in`] saves them for
 /// [`CpuRasterizer::backward_in`].
 #[derive(Debug)]
 pub struct CpuTiles(Tiles);
@@ -213,6 +213,84 @@ impl CpuRasterizer {
         let grads = gather(gaussians, camera, tiles, &v_pairs);
         laps.lap("project backward");
         grads
+    }
+}
+
+impl CpuTiles {
+    /// Projects Gaussians and sorts them for all tiles of an image.
+    ///
+    /// # Panics
+    /// As [`Rasterizer::forward`].
+    pub fn new(gaussians: &Activated, camera: &Camera) -> Self {
+        Self(Tiles::new(gaussians, camera, None, &mut Laps::begin()))
+    }
+
+    /// Draws the Gaussians in other colours than their own: the picture of [`Rasterizer::forward`], on black.
+    ///
+    /// - `colors`: `[N, C]`
+    ///
+    /// # Panics
+    /// If `colors` holds another number of values.
+    pub fn draw(&self, colors: &[f32], num_channels: usize) -> Image {
+        let tiles = &self.0;
+        assert_eq!(colors.len(), tiles.num_gaussians * num_channels, "colors of all Gaussians");
+        let mut image = Image::filled(tiles.size[0], tiles.size[1], num_channels, 0.0);
+        let numbers: Vec<usize> = (0..tiles.grid[0] * tiles.grid[1]).collect();
+        let settings = &RenderSettings::default();
+        with_channels!(num_channels, draw(tiles, &numbers, colors, settings, &mut image, None));
+        image
+    }
+
+    /// The blending weight of every Gaussian, summed over pixels: the number of pixels that it would fill alone.
+    ///
+    /// The gradient of `Σ pixels v · picture` to a Gaussian's colour is `Σ pixels v · weight`.
+    ///
+    /// - `shares`: `[C, H, W]` of the camera's size, each pixel's weight in each of `C` sums
+    /// - returns: `[N, C]`, pixels
+    ///
+    /// # Panics
+    /// If `shares` is of another size.
+    ///
+    /// ```
+    /// use tcgs_core::{Activated, Camera, Image};
+    /// use tcgs_render::CpuTiles;
+    /// let camera = Camera::look_at([0.0, 0.0, -3.0], [0.0; 3], [0.0, -1.0, 0.0], 50.0, 64, 48);
+    /// // Two behind each other: the first takes nine tenths of every pixel, and leaves a tenth of the second's nine.
+    /// let two = Activated {
+    ///     means: vec![[0.0; 3], [0.0, 0.0, 1.0]],
+    ///     quats: vec![[1.0, 0.0, 0.0, 0.0]; 2],
+    ///     scales: vec![[100.0, 100.0, 0.01]; 2],
+    ///     opacities: vec![0.9; 2],
+    ///     colors: vec![0.0; 6],
+    ///     num_channels: 3,
+    ///     is_antialiased: false,
+    /// };
+    /// let weights = CpuTiles::new(&two, &camera).weights(&Image::filled(64, 48, 1, 1.0));
+    /// assert!((weights[0] / (64.0 * 48.0) - 0.9).abs() < 0.01 && (weights[1] / weights[0] - 0.1).abs() < 0.01);
+    /// ```
+    pub fn weights(&self, shares: &Image) -> Vec<f32> {
+        let (tiles, channels) = (&self.0, shares.num_channels);
+        assert_eq!([shares.width, shares.height], tiles.size, "shares of all pixels");
+        let of_pairs: Vec<Vec<f32>> = (0..tiles.starts.len() - 1)
+            .into_par_iter()
+            .with_max_len(1)
+            .map(|tile| {
+                let mut sums = vec![0.0; tiles.pairs(tile).len() * channels];
+                if !sums.is_empty() {
+                    with_channels!(channels, rasterize_weights(tiles, tile, shares, &mut sums));
+                }
+                sums
+            })
+            .collect();
+        let mut weights = vec![0.0; tiles.num_gaussians * channels];
+        for (splat, ends) in tiles.splats.iter().zip(tiles.splat_starts.windows(2)) {
+            let weights = &mut weights[splat.gaussian as usize * channels..][..channels];
+            for &[tile, position] in &tiles.splat_pairs[ends[0] as usize..ends[1] as usize] {
+                let of_pair = &of_pairs[tile as usize][position as usize * channels..][..channels];
+                weights.iter_mut().zip(of_pair).for_each(|(sum, value)| *sum += value);
+            }
+        }
+        weights
     }
 }
 

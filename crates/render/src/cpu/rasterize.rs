@@ -439,6 +439,69 @@ fn bwd<const C: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
     }
 }
 
+/// Blending weights of the splats of one tile. The same bits as the gradients to colours by [`rasterize_bwd`] with
+/// `shares` as the gradient to the image. Overwrites `sums`.
+///
+/// - `shares`: `[C, H, W]`
+/// - `sums`: `[pairs of the tile, C]`, `Σ pixels share · blending weight` of each pair
+#[multiversion(targets("x86_64+avx2+fma+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
+pub(super) fn rasterize_weights<const C: usize>(tiles: &Tiles, tile: usize, shares: &Image, sums: &mut [f32]) {
+    match_target! {
+        "x86_64+avx512f" => weights::<C, 16, true>(tiles, tile, shares, sums),
+        "x86_64+fma" => weights::<C, 8, true>(tiles, tile, shares, sums),
+        _ => weights::<C, 8, false>(tiles, tile, shares, sums),
+    }
+}
+
+/// [`rasterize_weights`] in runs of `L` pixels.
+#[inline(always)]
+fn weights<const C: usize, const L: usize, const FUSED: bool>(
+    tiles: &Tiles,
+    tile: usize,
+    shares: &Image,
+    sums: &mut [f32],
+) {
+    let origin = origin(tiles, tile);
+    let mut transmittance = start_transmittance(origin, shares.width, shares.height);
+    let planes: [Plane; C] = std::array::from_fn(|channel| cut(shares, channel, origin));
+    let mut batch: Vec<(Splat, [f32; 0])> = Vec::with_capacity(BATCH);
+    for (pairs, sums) in tiles.pair_splats[tiles.pairs(tile)].chunks(BATCH).zip(sums.chunks_mut(BATCH * C)) {
+        if finished(&transmittance) {
+            sums.fill(0.0);
+            continue;
+        }
+        take_batch::<0>(tiles, pairs, &[], &mut batch);
+        for ((splat, _), sums) in batch.iter().zip(sums.chunks_exact_mut(C)) {
+            let (rows, runs) = reach::<L>(splat, origin);
+            let left = origin[0] as f32 + 0.5 - splat.mean2d[0];
+            let mut lanes = [[0.0; L]; C];
+            for row in rows {
+                let terms = RowTerms::new(splat, (origin[1] + row) as f32 + 0.5 - splat.mean2d[1]);
+                for column in runs.clone() {
+                    let at = row * TILE + column * L;
+                    let x = left + (column * L) as f32;
+                    let mut weights = [0.0; L];
+                    let transmittance = run_mut::<L>(&mut transmittance, at);
+                    for l in 0..L {
+                        let blended = blend::<FUSED>(terms, x + l as f32, transmittance[l]);
+                        weights[l] = blended.blend_weight;
+                        transmittance[l] = blended.transmittance;
+                    }
+                    for (lanes, plane) in lanes.iter_mut().zip(&planes) {
+                        let shares = run::<L>(plane, at);
+                        for l in 0..L {
+                            lanes[l] = mul_add::<FUSED>(weights[l], shares[l], lanes[l]);
+                        }
+                    }
+                }
+            }
+            for (value, lanes) in sums.iter_mut().zip(lanes) {
+                *value = sum(lanes);
+            }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -50,6 +50,9 @@ impl Splat {
 /// All splats of a view and the tiles they fall into.
 #[derive(Debug)]
 pub(super) struct Tiles {
+    pub num_gaussians: usize,
+    /// Width and height of the image, pixels.
+    pub size: [usize; 2],
     pub splats: Vec<Splat>,
     /// Tiles in a row and in a column.
     pub grid: [usize; 2],
@@ -216,7 +219,8 @@ impl Tiles {
             }
         }
         laps.lap("sort");
-        Self { splats, grid, starts, pair_splats, splat_starts, splat_pairs }
+        let (num_gaussians, size) = (gaussians.num_gaussians(), [camera.width, camera.height]);
+        Self { num_gaussians, size, splats, grid, starts, pair_splats, splat_starts, splat_pairs }
     }
 
     /// Pairs of one tile.

@@ -3,7 +3,7 @@
 use crate::support::{random_scene, test_camera};
 use tcgs_core::{Activated, Image};
 use tcgs_render::{
-    CpuRasterizer, Laps, Rasterizer, RenderSettings, TileMask, count_pairs, gaussians_reaching, tiles_reached,
+    CpuRasterizer, CpuTiles, Laps, Rasterizer, RenderSettings, TileMask, count_pairs, gaussians_reaching, tiles_reached,
 };
 
 const SIZE: [usize; 2] = [75, 52];
@@ -51,6 +51,24 @@ fn tiles_drawn_alone_have_the_bits_of_the_whole_image_and_its_gradients() {
     let visible: Vec<u32> = (0..300).filter(|&i| found.visible[i as usize]).collect();
     assert_eq!(visible, reaching);
     assert!(reaching.len() > 50 && reaching.len() < 290, "{} of 300", reaching.len());
+}
+
+#[test]
+fn blending_weights_are_the_gradients_to_colours_and_tiles_draw_in_any_colours() {
+    let (camera, settings) = (test_camera(SIZE[0], SIZE[1]), RenderSettings::default());
+    for channels in [1, 2, 5] {
+        let gaussians = random_scene(300, channels, 3);
+        let tiles = CpuTiles::new(&gaussians, &camera);
+        let Ok((whole, saved)) = CpuRasterizer.forward(&gaussians, &camera, &settings);
+        assert_eq!(tiles.draw(&gaussians.colors, channels), whole.image);
+
+        let mut shares = Image::filled(SIZE[0], SIZE[1], channels, 0.0);
+        shares.data.iter_mut().enumerate().for_each(|(i, share)| *share = (0.37 * i as f32).sin() + 0.3);
+        let Ok(expected) = CpuRasterizer.backward(&gaussians, &camera, &settings, &saved, &shares);
+        let weights = tiles.weights(&shares);
+        assert_eq!(weights, expected.activated.v_colors, "{channels} channels");
+        assert!(weights.iter().filter(|&&weight| weight != 0.0).count() > 100 * channels);
+    }
 }
 
 #[test]

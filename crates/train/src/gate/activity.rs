@@ -14,9 +14,7 @@
 
 use rayon::prelude::*;
 use tcgs_core::{Activated, Camera, Image, Pinhole};
-use tcgs_render::{
-    CpuRasterizer, Rasterizer, RenderSettings, TileMask, blending_weights, gaussians_reaching, weights_step,
-};
+use tcgs_render::{CpuTiles, TileMask, gaussians_reaching, weights_step};
 
 use super::{Blocks, Evidence};
 use crate::config::{GateConfig, MaskConfig};
@@ -94,10 +92,12 @@ impl Activity {
         }
         let drawn = Drawn::new(state, mask, channels > 3);
         let all = drawn.activated();
-        let of_views = weights(all, targets, &evidence);
+        let means = state.parameters.gaussians.means();
+        let looks: Vec<ViewLook> =
+            targets.iter().zip(&evidence).map(|(t, e)| ViewLook::new(all, means, t, e, config.matches)).collect();
         let mut weights = vec![[0.0_f32; 2]; all.num_gaussians()];
-        for of_view in &of_views {
-            for (sum, weights) in weights.iter_mut().zip(of_view) {
+        for look in &looks {
+            for (sum, weights) in weights.iter_mut().zip(&look.weights) {
                 *sum = [sum[0] + weights[0], sum[1] + weights[1]];
             }
         }
@@ -124,20 +124,16 @@ impl Activity {
             return activity;
         }
         if config.matches {
-            let means = state.parameters.gaussians.means();
-            let shown = |(target, of_view): (&Target, &Vec<[f32; 2]>)| {
-                let is_shown = shown(all, means, &target.camera);
-                activity.active.iter().map(|&i| if is_shown[i] { of_view[i][1] } else { 0.0 }).collect()
+            let shown = |look: &ViewLook| {
+                activity.active.iter().map(|&i| if look.is_shown[i] { look.weights[i][1] } else { 0.0 }).collect()
             };
-            activity.weights = targets.iter().zip(&of_views).map(shown).collect();
+            activity.weights = looks.iter().map(shown).collect();
         }
         activity.active.iter().for_each(|&i| is_held[i] = false);
         activity.held = indices(&is_held);
         // Active Gaussians answer for every tile in which they are visible, changed or not.
-        let colors = is_active.iter().map(|&active| f32::from(u8::from(active))).collect();
-        let shares = Activated { colors, num_channels: 1, ..all.clone() };
         for (tiles, target) in activity.tiles.iter_mut().zip(targets) {
-            tiles.union(&tiles_shown(&shares, &target.camera));
+            tiles.union(&tiles_shown(all, &is_active, &target.camera));
         }
         activity.cameras = (0..targets.len()).filter(|&i| !activity.tiles[i].is_empty()).collect();
         activity.before = all.select(&activity.active);
@@ -354,19 +350,25 @@ impl Shares {
     }
 }
 
-/// The blending weight of every Gaussian in each view: on changed pixels, and on all.
-///
-/// - `drawn`: `[N]`
-/// - returns: `[views][N]`, in pixels of the lower resolution
-fn weights(drawn: &Activated, targets: &[Target], evidence: &[Evidence]) -> Vec<Vec<[f32; 2]>> {
-    let of_view = |(target, evidence): (&Target, &Evidence)| {
+/// What the gate sees of every Gaussian in one view, at the lower resolution.
+struct ViewLook {
+    /// `[N]` blending weight on changed pixels, and on all; in pixels.
+    weights: Vec<[f32; 2]>,
+    /// `[N]` whether the centre is no further than the surface that the picture shows there; empty if nobody asks.
+    is_shown: Vec<bool>,
+}
+
+impl ViewLook {
+    /// - `all`, `means`: `[N]`
+    fn new(all: &Activated, means: &[[f32; 3]], target: &Target, evidence: &Evidence, asks_shown: bool) -> Self {
         let (step, camera) = (weights_step(&target.camera), looked_at(&target.camera));
         let mut shares = Image::filled(camera.width, camera.height, 2, 1.0);
         mark(&evidence.blocks, step, camera.width, shares.plane_mut(0));
-        let Ok(weights) = blending_weights(&CpuRasterizer, drawn, &camera, &shares);
-        weights.as_chunks::<2>().0.to_vec()
-    };
-    targets.iter().zip(evidence).map(of_view).collect()
+        let tiles = CpuTiles::new(all, &camera);
+        let weights = tiles.weights(&shares).as_chunks::<2>().0.to_vec();
+        let is_shown = if asks_shown { shown(&tiles, means, &camera) } else { Vec::new() };
+        Self { weights, is_shown }
+    }
 }
 
 /// The camera at the resolution at which weights are measured.
@@ -376,17 +378,16 @@ fn looked_at(camera: &Camera) -> Camera {
 
 /// Whether each Gaussian's centre is no further than the surface that the picture shows there.
 ///
-/// - `all`, `means`: `[N]`
+/// - `tiles`: of the Gaussians in this camera
+/// - `means`: `[N]`
 /// - returns: `[N]`
-fn shown(all: &Activated, means: &[[f32; 3]], camera: &Camera) -> Vec<bool> {
-    let camera = looked_at(camera);
-    let pinhole = Pinhole::<f32>::new(&camera);
-    let depths = means.iter().flat_map(|&mean| [pinhole.camera_point(mean)[2], 1.0]);
-    let drawn = Activated { colors: depths.collect(), num_channels: 2, ..all.clone() };
-    let Ok((output, _)) = CpuRasterizer.forward(&drawn, &camera, &RenderSettings::default());
+fn shown(tiles: &CpuTiles, means: &[[f32; 3]], camera: &Camera) -> Vec<bool> {
+    let pinhole = Pinhole::<f32>::new(camera);
+    let depths: Vec<f32> = means.iter().flat_map(|&mean| [pinhole.camera_point(mean)[2], 1.0]).collect();
+    let picture = tiles.draw(&depths, 2);
     let is_shown = |&mean: &[f32; 3]| {
         let Some((pixel, depth)) = pinhole.pixel(mean) else { return false };
-        let [sum, weight] = [0, 1].map(|channel| output.image.plane(channel)[pixel]);
+        let [sum, weight] = [0, 1].map(|channel| picture.plane(channel)[pixel]);
         depth * weight <= sum + BEHIND * weight * depth / pinhole.focal[0]
     };
     means.iter().map(is_shown).collect()
@@ -394,12 +395,13 @@ fn shown(all: &Activated, means: &[[f32; 3]], camera: &Camera) -> Vec<bool> {
 
 /// The tiles in which some Gaussians make up a visible part of the picture.
 ///
-/// - `shares`: all Gaussians, with one channel: 1 for those in question, 0 for all others
-fn tiles_shown(shares: &Activated, camera: &Camera) -> TileMask {
+/// - `all`, `is_one`: `[N]`; whether a Gaussian is one of them
+fn tiles_shown(all: &Activated, is_one: &[bool], camera: &Camera) -> TileMask {
     let mut tiles = TileMask::none(camera.width, camera.height);
     let (step, camera) = (weights_step(camera), looked_at(camera));
-    let Ok((output, _)) = CpuRasterizer.forward(shares, &camera, &RenderSettings::default());
-    for (i, _) in output.image.data.iter().enumerate().filter(|(_, share)| **share > MIN_SHARE) {
+    let colors: Vec<f32> = is_one.iter().map(|&is_one| f32::from(u8::from(is_one))).collect();
+    let picture = CpuTiles::new(all, &camera).draw(&colors, 1);
+    for (i, _) in picture.data.iter().enumerate().filter(|(_, share)| **share > MIN_SHARE) {
         let [x, y] = [i % camera.width * step, i / camera.width * step];
         tiles.insert_pixels(x..x + step, y..y + step);
     }

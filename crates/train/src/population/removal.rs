@@ -8,7 +8,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use tcgs_core::{Activated, Camera, Gaussians, Image, View, activate, cameras_between, seen_colors};
 use tcgs_metrics::psnr;
-use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings, blending_weights, settings::MAX_CHANNELS};
+use tcgs_render::{CpuRasterizer, CpuTiles, Rasterizer, RenderSettings, settings::MAX_CHANNELS};
 
 use super::unseen::are_in_images;
 use crate::parameters::corrected;
@@ -124,7 +124,7 @@ fn raise_to_shares(largest: &mut [f32], timestep: &TimestepViews<'_>, cameras: &
     draw_all(timestep.gaussians, timestep.is_hidden, &cameras, |position, drawn| {
         let camera = &cameras[position];
         let equal = Image::filled(camera.width, camera.height, 1, 1.0 / (camera.width * camera.height) as f32);
-        let Ok(shares) = blending_weights(&CpuRasterizer, drawn, camera, &equal);
+        let shares = CpuTiles::new(drawn, camera).weights(&equal);
         largest.iter_mut().zip(shares).for_each(|(largest, share)| *largest = largest.max(share));
     });
 }
