@@ -1,7 +1,6 @@
 //! Chooses the Gaussians that a timestep trains, and collects their surroundings.
 //!
-//! - A Gaussian's blending weight is the gradient of a picture to its colour, so one backward pass for each view
-//!   measures it, at half the resolution.
+//! - A Gaussian's blending weights are summed over the pixels of each view, at half the resolution.
 //! - Foreground Gaussians that are hidden or masked have no evidence of their own. They follow their neighbours by
 //!   vote; otherwise they would hold the others back through the losses on motion.
 //! - A view draws the tiles with evidence and those in which active Gaussians are visible. Without the latter, a
