@@ -298,8 +298,8 @@ const VIEWS_SHARE: f64 = 1.0 / 3.0;
 /// equally often, and so are their views in the mean.
 ///
 /// - `num_timesteps`, `num_views`: at least 1
-/// - `num_iterations`: as many as will be done, if timesteps are to be visited in their order, as videos are decoded
-///   fastest: where that is less than one pass, every second, third or further timestep. None for a random order
+/// - `num_iterations`: the number of iterations to come, for timesteps in ascending order, in which videos are decoded
+///   fastest. If that is less than one pass, every second, third or further timestep is visited. None: a random order
 pub fn refine_order(
     seed: u64,
     num_timesteps: usize,

@@ -12,7 +12,7 @@ use crate::{ErrorTrial, Event, Observer, PipelineError};
 const MAX_TRIALS: usize = 12;
 /// Settings that halve an error rarely halve it exactly.
 const MARGIN: f64 = 1.25;
-/// An attribute is made finer by this in all. What still errs errs by the 16 bits of its codes.
+/// An attribute is made finer by this in all. The errors that are left come from the 16 bits of codes.
 const MAX_FACTOR: f64 = (1 << 24) as f64;
 /// An attribute whose error falls by less than this although it is made finer is stuck,
 const LEAST_FALL: f64 = 0.8;

@@ -16,9 +16,9 @@ const NUM_SAMPLES: usize = 2000;
 /// Number of the nearest among them whose median colour is taken.
 const NUM_NEAREST: usize = 8;
 
-/// Adds what given points lack to points that [`stereo_points`](super::stereo_points) makes: a sphere around the scene,
-/// and its floor, in directions that no training image shows: where cameras between the training cameras meet no point,
-/// and outside of all images. Without points there, pictures from other cameras are black there.
+/// Adds a sphere around the scene, and its floor, in directions that no training image shows. These directions lie
+/// outside of all images, or cameras between the training cameras meet no point there. Without points, pictures from
+/// other cameras are black there. Points by [`stereo_points`](super::stereo_points) have both already.
 ///
 /// - `cloud`: at least one point
 /// - `cameras`: of the training images

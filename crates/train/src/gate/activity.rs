@@ -349,23 +349,23 @@ impl Shares {
     }
 }
 
-/// What the gate sees of every Gaussian in one view, at the lower resolution.
+/// The gate's look at every Gaussian in one view, at the lower resolution.
 struct ViewLook {
     /// `[N]` blending weight on changed pixels, and on all; in pixels.
     weights: Vec<[f32; 2]>,
-    /// `[N]` whether the centre is no further than the surface that the picture shows there; empty if nobody asks.
+    /// `[N]` whether the centre is no further than the surface that the picture shows there; empty without matches.
     is_shown: Vec<bool>,
 }
 
 impl ViewLook {
     /// - `all`, `means`: `[N]`
-    fn new(all: &Activated, means: &[[f32; 3]], target: &Target, evidence: &Evidence, asks_shown: bool) -> Self {
+    fn new(all: &Activated, means: &[[f32; 3]], target: &Target, evidence: &Evidence, with_matches: bool) -> Self {
         let (step, camera) = (weights_step(&target.camera), looked_at(&target.camera));
         let mut shares = Image::filled(camera.width, camera.height, 2, 1.0);
         mark(&evidence.blocks, step, camera.width, shares.plane_mut(0));
         let tiles = CpuTiles::new(all, &camera);
         let weights = tiles.weights(&shares).as_chunks::<2>().0.to_vec();
-        let is_shown = if asks_shown { shown(&tiles, means, &camera) } else { Vec::new() };
+        let is_shown = if with_matches { shown(&tiles, means, &camera) } else { Vec::new() };
         Self { weights, is_shown }
     }
 }

@@ -35,8 +35,8 @@ pub(super) fn unseen_last(cloud: &PointCloud, cameras: &[Camera]) -> (PointCloud
     (ordered, num_unseen)
 }
 
-/// Shrinks the untrained Gaussians, which are in no image, until none reaches into an image. There it would cover what is
-/// trained.
+/// Shrinks the untrained Gaussians, which are in no image, until none reaches into an image, where it would cover
+/// trained Gaussians.
 pub(crate) fn keep_out(state: &mut State, cameras: &[Camera]) {
     let first = state.num_trained();
     let pinholes: Vec<Pinhole<f32>> = cameras.iter().map(Pinhole::new).collect();
