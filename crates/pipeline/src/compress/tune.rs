@@ -44,7 +44,7 @@ const KNOBS: [Knob; 9] = [
 const SCALES: [f32; 2] = [1.0, 0.5];
 /// Settings tried at most; each takes a compression and the pictures of the judge.
 const MAX_TRIALS: usize = 150;
-/// What a trial must gain to count, as a share of the bytes, and what all knobs must gain together to be tried once
+/// Least gain of a trial that counts, as a share of the bytes, and of all knobs together before they are tried once
 /// more.
 const LEAST_GAIN: f64 = 1e-4;
 const LEAST_GAIN_OF_ALL: f64 = 2e-3;
