@@ -115,6 +115,20 @@ fn blend<const FUSED: bool>(terms: RowTerms, dx: f32, before: f32) -> Blend {
     }
 }
 
+/// Blends a splat into a run of pixels. Returns its blending weights.
+///
+/// - `x`: `dx` of the first pixel
+#[inline(always)]
+fn blend_run<const L: usize, const FUSED: bool>(terms: RowTerms, x: f32, transmittance: &mut [f32; L]) -> [f32; L] {
+    let mut weights = [0.0; L];
+    for l in 0..L {
+        let blended = blend::<FUSED>(terms, x + l as f32, transmittance[l]);
+        weights[l] = blended.blend_weight;
+        transmittance[l] = blended.transmittance;
+    }
+    weights
+}
+
 /// Rows of a tile that a splat reaches, and runs of `L` pixels in each.
 #[inline(always)]
 fn reach<const L: usize>(splat: &Splat, origin: [usize; 2]) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
@@ -219,13 +233,7 @@ fn fwd<const C: usize, const L: usize, const FUSED: bool>(
                 for column in runs.clone() {
                     let at = row * TILE + column * L;
                     let x = left + (column * L) as f32;
-                    let mut weights = [0.0; L];
-                    let transmittance = run_mut::<L>(&mut transmittance, at);
-                    for l in 0..L {
-                        let blended = blend::<FUSED>(terms, x + l as f32, transmittance[l]);
-                        weights[l] = blended.blend_weight;
-                        transmittance[l] = blended.transmittance;
-                    }
+                    let weights = blend_run::<L, FUSED>(terms, x, run_mut(&mut transmittance, at));
                     for (plane, &color) in planes.iter_mut().zip(color) {
                         let plane = run_mut::<L>(plane, at);
                         for l in 0..L {
@@ -480,13 +488,7 @@ fn weights<const C: usize, const L: usize, const FUSED: bool>(
                 for column in runs.clone() {
                     let at = row * TILE + column * L;
                     let x = left + (column * L) as f32;
-                    let mut weights = [0.0; L];
-                    let transmittance = run_mut::<L>(&mut transmittance, at);
-                    for l in 0..L {
-                        let blended = blend::<FUSED>(terms, x + l as f32, transmittance[l]);
-                        weights[l] = blended.blend_weight;
-                        transmittance[l] = blended.transmittance;
-                    }
+                    let weights = blend_run::<L, FUSED>(terms, x, run_mut(&mut transmittance, at));
                     for (lanes, plane) in lanes.iter_mut().zip(&planes) {
                         let shares = run::<L>(plane, at);
                         for l in 0..L {

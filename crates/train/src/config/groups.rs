@@ -226,9 +226,9 @@ impl BirthConfig {
 #[serde(deny_unknown_fields)]
 pub struct DeathConfig {
     /// Timesteps in which no training camera sees a Gaussian, after which it dies. That is judged once in as many
-    /// timesteps, so that it lives on for up to twice as many. A Gaussian at rest where it was born lives on, unless its
-    /// mask hides it, because it may be uncovered, and cameras may move. Needs the gate; in a run that continues another one's
-    /// state none dies. 0: none dies. Default 20; 0 in `d3dgs` and `paper`.
+    /// timesteps, so that it lives on for up to twice as many. A Gaussian at rest where it was born lives on, unless
+    /// its mask hides it, because it may be uncovered, and cameras may move. Needs the gate; in a run that continues
+    /// another one's state none dies. 0: none dies. Default 20; 0 in `d3dgs` and `paper`.
     pub patience: usize,
     /// A Gaussian is not seen if it makes up less than this share of the pixels of all training images of a timestep.
     /// Default 1e-6, below which `tcgs compress --refine` leaves it out of a file.

@@ -3,8 +3,8 @@
 use rayon::prelude::*;
 use tcgs_core::{Camera, Pinhole, cameras_between, distance};
 
-/// Radius of the space around a camera, as a share of the distance from which on there are points. Likewise the depth of
-/// the free part of what it sees.
+/// Radius of the space around a camera, as a share of the distance from which on there are points. Likewise the depth
+/// of the free part of what it sees.
 const SHARE: f32 = 0.5;
 
 /// Share of the initial points that may stand nearer to a camera than that distance, by mistake.
