@@ -71,10 +71,13 @@ async function shot(page, name) {
 
 const frameNumber = (page) => page.textContent("#frame-number");
 
+/** By the timeline: a software GPU would draw every timestep on the way of the keys. */
 async function goTo(page, timestep) {
-  await page.keyboard.press("Home");
-  for (let i = 0; i < timestep; i++) await page.keyboard.press(".");
-  await page.waitForFunction((t) => document.querySelector("#timeline").value === String(t), timestep);
+  await page.evaluate((value) => {
+    const timeline = document.querySelector("#timeline");
+    timeline.value = String(value);
+    timeline.dispatchEvent(new Event("input", { bubbles: true }));
+  }, timestep);
   return settled(page);
 }
 
@@ -90,7 +93,7 @@ function rendered(path, size, scene = SCENE) {
 }
 
 test("the scene shows, plays, and holds still when told", async (t) => {
-  const page = await open(t, "quality=fixed&dpr=1&stats=1", { from: server, viewport: { width: 640, height: 400 } });
+  const page = await open(t, "quality=fixed&dpr=1&stats=1", { from: server, viewport: { width: 480, height: 300 } });
   await page.waitForSelector("body.has-scene");
   assert.equal(await page.getAttribute("#play", "aria-label"), "Pause", "it plays by itself");
   const first = await frameNumber(page);
@@ -100,7 +103,7 @@ test("the scene shows, plays, and holds still when told", async (t) => {
   await shot(page, "playing");
   assert.match(await page.textContent("#stat-drawn"), /^\d{1,3}(\u202f\d{3})*$/);
   assert.match(await page.textContent("#stat-bytes"), /^\d.* of \d/);
-  assert.equal(await page.textContent("#stat-size"), "640 × 400");
+  assert.equal(await page.textContent("#stat-size"), "480 × 300");
   assert.match(await page.title(), /^capture /);
   await page.waitForTimeout(400);
   assert.ok((await compare(page, still, await settled(page))).near === 1, "paused is paused");
@@ -172,7 +175,7 @@ test("mouse and keys move the camera, and R brings it back", async (t) => {
 });
 
 test("an edge shows what no camera saw, and the camera is led back from there, unless key G switches both off", async (t) => {
-  const page = await loaded(await open(t, "quality=fixed&dpr=1&autoplay=0", { from: server, viewport: { width: 320, height: 240 } }));
+  const page = await loaded(await open(t, "quality=fixed&dpr=1&autoplay=0", { from: server, viewport: { width: 240, height: 180 } }));
   const edge = () => page.evaluate(() => Number(document.querySelector("#edge").style.opacity));
   assert.equal(await edge(), 0);
   const lookFromAbove = async () => {
@@ -241,13 +244,13 @@ async function agree(t, page, found, expected, what, { webgpu, covers }) {
 
 for (const [renderer, webgpu] of Object.entries({ WebGPU: true, WebGL2: false })) {
   test(`what ${renderer} shows is what tcgs renders, at views and between them`, async (t) => {
-    const options = { from: server, viewport: { width: 320, height: 240 }, webgpu };
+    const options = { from: server, viewport: { width: 192, height: 144 }, webgpu };
     const page = await loaded(await open(t, `${EXACT}&controls=0`, options));
     // A path as a person makes it: views from three sides at three times, saved to a file.
     const turn = async (dx, dy) => {
-      await page.mouse.move(150, 120);
+      await page.mouse.move(96, 72);
       await page.mouse.down();
-      await page.mouse.move(150 + dx, 120 + dy);
+      await page.mouse.move(96 + dx, 72 + dy);
       await page.mouse.up();
     };
     await page.keyboard.press("k");
@@ -264,12 +267,12 @@ for (const [renderer, webgpu] of Object.entries({ WebGPU: true, WebGL2: false })
     await (await download).saveAs(file);
     const path = JSON.parse(readFileSync(file, "utf8"));
     assert.deepEqual(path.cameras.map((camera) => camera.timestep), [0, 6, 14]);
-    assert.deepEqual([path.cameras[0].width, path.cameras[0].height], [320, 240]);
+    assert.deepEqual([path.cameras[0].width, path.cameras[0].height], [192, 144]);
 
     // A path that is dropped on the page is followed.
     await drop(page, "camera-path.json", readFileSync(file));
     await silent(page);
-    const expected = rendered(file, "320x240");
+    const expected = rendered(file, "192x144");
     for (const timestep of [0, 3, 6, 20]) {
       const found = await goTo(page, timestep);
       if (SHOTS) writeFileSync(join(SHOTS, `path-${renderer}-${timestep}.png`), found);
@@ -293,12 +296,12 @@ for (const [renderer, webgpu] of Object.entries({ WebGPU: true, WebGL2: false })
     execFileSync(TCGS, ["compress", folder, "--out", scene], { stdio: ["ignore", "ignore", "inherit"] });
     const server = await serve(TCGS, scene);
     t.after(() => server.stop());
-    const options = { from: server, viewport: { width: 320, height: 240 }, webgpu };
+    const options = { from: server, viewport: { width: 192, height: 144 }, webgpu };
     const page = await loaded(await open(t, `${EXACT}&controls=0`, options));
     await page.keyboard.press("k");
-    await page.mouse.move(150, 120);
+    await page.mouse.move(96, 72);
     await page.mouse.down();
-    await page.mouse.move(230, 140);
+    await page.mouse.move(176, 92);
     await page.mouse.up();
     await goTo(page, 3);
     await page.keyboard.press("k");
@@ -308,7 +311,7 @@ for (const [renderer, webgpu] of Object.entries({ WebGPU: true, WebGL2: false })
     await (await download).saveAs(file);
     await drop(page, "around.json", readFileSync(file));
     await silent(page);
-    const expected = rendered(file, "320x240", scene);
+    const expected = rendered(file, "192x144", scene);
     for (const timestep of [0, 1, 2, 3, 1]) {
       const found = await goTo(page, timestep);
       if (SHOTS) writeFileSync(join(SHOTS, `of-plys-${renderer}-${timestep}.png`), found);
