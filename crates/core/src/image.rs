@@ -93,12 +93,12 @@ impl Image {
         let weight = 1.0 / (factor * factor) as f32;
         for channel in 0..self.num_channels {
             let source = self.plane(channel);
-            let width = out.width;
-            for (i, value) in out.plane_mut(channel).iter_mut().enumerate() {
-                let (x, y) = (i % width * factor, i / width * factor);
-                let sum: f32 =
-                    (y..y + factor).map(|row| source[row * self.width + x..][..factor].iter().sum::<f32>()).sum();
-                *value = sum * weight;
+            let width = out.width.max(1);
+            for (y, values) in out.plane_mut(channel).chunks_exact_mut(width).enumerate() {
+                for (x, value) in values.iter_mut().enumerate() {
+                    let row = |row: usize| source[row * self.width + x * factor..][..factor].iter().sum::<f32>();
+                    *value = (y * factor..(y + 1) * factor).map(row).sum::<f32>() * weight;
+                }
             }
         }
         out

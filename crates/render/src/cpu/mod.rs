@@ -165,7 +165,7 @@ impl CpuRasterizer {
         v_image: &Image,
         laps: &mut Laps,
     ) -> RenderGrads {
-        self.backward_in(gaussians, camera, settings, &saved.tiles, &saved.image, v_image, laps)
+        self.backward_in(gaussians, camera, settings, &saved.tiles, &saved.image, v_image, None, laps)
     }
 
     /// Gradients of [`Self::forward_in`] through the pixels of the drawn tiles.
@@ -173,10 +173,11 @@ impl CpuRasterizer {
     /// - `gaussians`, `camera`, `settings`: as given to `forward_in`
     /// - `image`: `[C, H, W]`, as `forward_in` left it
     /// - `v_image`: `[C, H, W]`, gradient to the image; read only in the drawn tiles
+    /// - `wanted`: `[N]`, the Gaussians whose gradients are computed, all others' being 0; `None` for all
     /// - `laps`: gets the stages `rasterize backward` and `project backward`
     ///
     /// # Panics
-    /// If `image` or `v_image` has a different shape from the drawn image.
+    /// If `image` or `v_image` has a different shape from the drawn image, or `wanted` another length than `N`.
     #[allow(clippy::too_many_arguments, reason = "a forward pass, its results, and the gradient to them")]
     pub fn backward_in(
         &self,
@@ -186,11 +187,14 @@ impl CpuRasterizer {
         tiles: &CpuTiles,
         image: &Image,
         v_image: &Image,
+        wanted: Option<&[bool]>,
         laps: &mut Laps,
     ) -> RenderGrads {
         let shape = |i: &Image| [i.num_channels, i.height, i.width];
         let drawn = [gaussians.num_channels, camera.height, camera.width];
         assert_eq!([shape(image), shape(v_image)], [drawn; 2], "image and v_image against what was drawn");
+        let n = gaussians.num_gaussians();
+        assert_eq!(wanted.map_or(n, <[bool]>::len), n, "`wanted` against the Gaussians");
         let (tiles, colors) = (&tiles.0, &gaussians.colors);
         let stride = PAIR_GRADS + gaussians.num_channels;
         // Each tile's gradients are allocated by the thread that fills them, because one thread zeroes memory more
@@ -203,14 +207,14 @@ impl CpuRasterizer {
                 if !v_pairs.is_empty() {
                     with_channels!(
                         gaussians.num_channels,
-                        rasterize_bwd(tiles, tile, colors, settings, image, v_image, &mut v_pairs)
+                        rasterize_bwd(tiles, tile, colors, settings, image, v_image, wanted, &mut v_pairs)
                     );
                 }
                 v_pairs
             })
             .collect();
         laps.lap("rasterize backward");
-        let grads = gather(gaussians, camera, tiles, &v_pairs);
+        let grads = gather(gaussians, camera, tiles, wanted, &v_pairs);
         laps.lap("project backward");
         grads
     }
@@ -383,15 +387,25 @@ const GATHERED: usize = 256;
 
 /// Adds up the pairs of each Gaussian and takes the sums back through the projection.
 ///
+/// - `wanted`: as for [`CpuRasterizer::backward_in`]
 /// - `v_pairs`: gradients of the pairs, one array per tile
-fn gather(gaussians: &Activated, camera: &Camera, tiles: &Tiles, v_pairs: &[Vec<f32>]) -> RenderGrads {
+fn gather(
+    gaussians: &Activated,
+    camera: &Camera,
+    tiles: &Tiles,
+    wanted: Option<&[bool]>,
+    v_pairs: &[Vec<f32>],
+) -> RenderGrads {
     let (n, channels) = (gaussians.num_gaussians(), gaussians.num_channels);
     let stride = PAIR_GRADS + channels;
     let splat_camera = SplatCamera::new(camera);
     let half_size = [0.5 * camera.width as f32, 0.5 * camera.height as f32];
     let mut splat_of = vec![u32::MAX; n];
     for (index, splat) in tiles.splats.iter().enumerate() {
-        splat_of[splat.gaussian as usize] = index as u32;
+        let gaussian = splat.gaussian as usize;
+        if wanted.is_none_or(|wanted| wanted[gaussian]) {
+            splat_of[gaussian] = index as u32;
+        }
     }
     let mut grads = RenderGrads {
         activated: ActivatedGrads {

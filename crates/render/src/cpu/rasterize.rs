@@ -23,6 +23,8 @@
 //! 5. Where the processor has fused multiply-adds, sums of products are rounded once. So machines differ in the last
 //!    bits; one machine always computes the same.
 
+#![allow(clippy::too_many_arguments, reason = "all that a tile reads and writes")]
+
 use multiversion::multiversion;
 use multiversion::target::match_target;
 use tcgs_core::Image;
@@ -280,11 +282,12 @@ fn sum<const L: usize>(mut lanes: [f32; L]) -> f32 {
     lanes[0]
 }
 
-/// Backward of one tile. Overwrites `v_pairs`.
+/// Backward of one tile.
 ///
 /// - `colors`: `[N, C]`
 /// - `image`, `v_image`: `[C, H, W]`, the finished image and its gradient
-/// - `v_pairs`: `[pairs of the tile, PAIR_GRADS + C]`
+/// - `wanted`: `[N]`, whether the gradients of a Gaussian's pairs are computed; `None` for all
+/// - `v_pairs`: `[pairs of the tile, PAIR_GRADS + C]`, zeros
 #[multiversion(targets("x86_64+avx2+fma+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
 pub(super) fn rasterize_bwd<const C: usize>(
     tiles: &Tiles,
@@ -293,12 +296,13 @@ pub(super) fn rasterize_bwd<const C: usize>(
     settings: &RenderSettings,
     image: &Image,
     v_image: &Image,
+    wanted: Option<&[bool]>,
     v_pairs: &mut [f32],
 ) {
     match_target! {
-        "x86_64+avx512f" => bwd_counting::<C, 16, true>(tiles, tile, colors, settings, image, v_image, v_pairs),
-        "x86_64+fma" => bwd_counting::<C, 8, true>(tiles, tile, colors, settings, image, v_image, v_pairs),
-        _ => bwd_counting::<C, 8, false>(tiles, tile, colors, settings, image, v_image, v_pairs),
+        "x86_64+avx512f" => bwd_counting::<C, 16, true>(tiles, tile, colors, settings, image, v_image, wanted, v_pairs),
+        "x86_64+fma" => bwd_counting::<C, 8, true>(tiles, tile, colors, settings, image, v_image, wanted, v_pairs),
+        _ => bwd_counting::<C, 8, false>(tiles, tile, colors, settings, image, v_image, wanted, v_pairs),
     }
 }
 
@@ -312,13 +316,31 @@ fn bwd_counting<const C: usize, const L: usize, const FUSED: bool>(
     settings: &RenderSettings,
     image: &Image,
     v_image: &Image,
+    wanted: Option<&[bool]>,
     v_pairs: &mut [f32],
 ) {
     if (1..C).contains(&settings.statistic_channels) {
-        bwd::<C, L, FUSED, true>(tiles, tile, colors, settings, image, v_image, v_pairs);
+        bwd::<C, L, FUSED, true>(tiles, tile, colors, settings, image, v_image, wanted, v_pairs);
     } else {
-        bwd::<C, L, FUSED, false>(tiles, tile, colors, settings, image, v_image, v_pairs);
+        bwd::<C, L, FUSED, false>(tiles, tile, colors, settings, image, v_image, wanted, v_pairs);
     }
+}
+
+/// `Σ channels color · v` at a run of pixels.
+#[inline(always)]
+fn shown<const C: usize, const L: usize, const FUSED: bool>(
+    color: &[f32; C],
+    v_planes: &[Plane; C],
+    at: usize,
+) -> [f32; L] {
+    let mut own = [0.0; L];
+    for c in 0..C {
+        let v = run::<L>(&v_planes[c], at);
+        for l in 0..L {
+            own[l] = mul_add::<FUSED>(color[c], v[l], own[l]);
+        }
+    }
+    own
 }
 
 /// - `PARTIAL`: whether the statistic counts some channels and not all
@@ -330,8 +352,13 @@ fn bwd<const C: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
     settings: &RenderSettings,
     image: &Image,
     v_image: &Image,
+    wanted: Option<&[bool]>,
     v_pairs: &mut [f32],
 ) {
+    let is_wanted = |gaussian: u32| wanted.is_none_or(|wanted| wanted[gaussian as usize]);
+    let pairs = &tiles.pair_splats[tiles.pairs(tile)];
+    // What lies behind the last one changes no gradient that is wanted.
+    let Some(last) = pairs.iter().rposition(|&splat| is_wanted(tiles.splats[splat as usize].gaussian)) else { return };
     let origin = origin(tiles, tile);
     let mut transmittance = start_transmittance(origin, image.width, image.height);
     let v_planes: [Plane; C] = std::array::from_fn(|channel| cut(v_image, channel, origin));
@@ -351,11 +378,9 @@ fn bwd<const C: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
     let statistic: [f32; C] = std::array::from_fn(|c| f32::from(u8::from(c < settings.statistic_channels)));
 
     let mut batch: Vec<(Splat, [f32; C])> = Vec::with_capacity(BATCH);
-    let pairs = tiles.pair_splats[tiles.pairs(tile)].chunks(BATCH);
-    for (pairs, v_pairs) in pairs.zip(v_pairs.chunks_mut(BATCH * (PAIR_GRADS + C))) {
+    for (pairs, v_pairs) in pairs[..=last].chunks(BATCH).zip(v_pairs.chunks_mut(BATCH * (PAIR_GRADS + C))) {
         if finished(&transmittance) {
-            v_pairs.fill(0.0);
-            continue;
+            break;
         }
         take_batch::<C>(tiles, pairs, colors, &mut batch);
         for ((splat, color), v_pair) in batch.iter().zip(v_pairs.chunks_exact_mut(PAIR_GRADS + C)) {
@@ -363,6 +388,29 @@ fn bwd<const C: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
             let (rows, runs) = reach::<L>(splat, origin);
             let left = origin[0] as f32 + 0.5 - splat.mean2d[0];
             let zero = [0.0; L];
+            if !is_wanted(splat.gaussian) {
+                for row in rows {
+                    let terms = RowTerms::new(splat, (origin[1] + row) as f32 + 0.5 - splat.mean2d[1]);
+                    for column in runs.clone() {
+                        let at = row * TILE + column * L;
+                        let x = left + (column * L) as f32;
+                        let weights = blend_run::<L, FUSED>(terms, x, run_mut(&mut transmittance, at));
+                        let own = shown::<C, L, FUSED>(color, &v_planes, at);
+                        let behind = run_mut::<L>(&mut behind, at);
+                        for l in 0..L {
+                            behind[l] = mul_add::<FUSED>(-weights[l], own[l], behind[l]);
+                        }
+                        if PARTIAL {
+                            let own = shown::<C, L, FUSED>(&statistic_color, &v_planes, at);
+                            let behind = run_mut::<L>(&mut behind_statistic, at);
+                            for l in 0..L {
+                                behind[l] = mul_add::<FUSED>(-weights[l], own[l], behind[l]);
+                            }
+                        }
+                    }
+                }
+                continue;
+            }
             // Moments of g = −∂L/∂exponent about the splat's centre.
             let (mut g_sum, mut g_x, mut g_y, mut g_xx, mut g_xy, mut g_yy) = (zero, zero, zero, zero, zero, zero);
             let (mut s_x, mut s_y) = (zero, zero);
@@ -376,17 +424,9 @@ fn bwd<const C: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
                     let transmittance = run_mut::<L>(&mut transmittance, at);
                     let behind = run_mut::<L>(&mut behind, at);
                     let behind_statistic = run_mut::<L>(&mut behind_statistic, at);
-                    let mut own = zero;
-                    let mut own_statistic = zero;
-                    for c in 0..C {
-                        let v = run::<L>(&v_planes[c], at);
-                        for l in 0..L {
-                            own[l] = mul_add::<FUSED>(color[c], v[l], own[l]);
-                            if PARTIAL {
-                                own_statistic[l] = mul_add::<FUSED>(statistic_color[c], v[l], own_statistic[l]);
-                            }
-                        }
-                    }
+                    let own = shown::<C, L, FUSED>(color, &v_planes, at);
+                    let own_statistic =
+                        if PARTIAL { shown::<C, L, FUSED>(&statistic_color, &v_planes, at) } else { zero };
                     let mut weights = zero;
                     for l in 0..L {
                         let dx = x + l as f32;

@@ -44,13 +44,37 @@ fn tiles_drawn_alone_have_the_bits_of_the_whole_image_and_its_gradients() {
     // Pixels outside of the tiles are not read.
     v_image.data.iter_mut().enumerate().filter(|(pixel, _)| is_outside(*pixel)).for_each(|(_, v)| *v = f32::NAN);
     let laps = &mut Laps::begin();
-    let found = CpuRasterizer.backward_in(&gaussians, &camera, &settings, &tiles, &image, &v_image, laps);
+    let found = CpuRasterizer.backward_in(&gaussians, &camera, &settings, &tiles, &image, &v_image, None, laps);
     assert_eq!(found.activated, expected.activated);
     assert_eq!(found.v_means2d_ndc, expected.v_means2d_ndc);
     let reaching = gaussians_reaching(&gaussians, &camera, &mask);
     let visible: Vec<u32> = (0..300).filter(|&i| found.visible[i as usize]).collect();
     assert_eq!(visible, reaching);
     assert!(reaching.len() > 50 && reaching.len() < 290, "{} of 300", reaching.len());
+}
+
+#[test]
+fn gradients_of_some_gaussians_have_the_bits_of_those_of_all() {
+    let camera = test_camera(SIZE[0], SIZE[1]);
+    let gaussians = random_scene(300, 5, 3);
+    let wanted: Vec<bool> = (0..300).map(|i| i % 3 == 1).collect();
+    let (chosen, others): (Vec<usize>, Vec<usize>) = (0..300).partition(|&i| wanted[i]);
+    for statistic_channels in [0, 3, 5] {
+        let settings = RenderSettings { statistic_channels, ..RenderSettings::default() };
+        let (mask, laps) = (TileMask::all(SIZE[0], SIZE[1]), &mut Laps::begin());
+        let mut image = Image::filled(SIZE[0], SIZE[1], 5, 0.0);
+        let tiles = CpuRasterizer.forward_in(&gaussians, &camera, &settings, &mask, &mut image, laps);
+        let mut v_image = image.clone();
+        v_image.data.iter_mut().enumerate().for_each(|(i, v)| *v = (0.37 * i as f32).sin() + 0.3);
+        let mut grads =
+            |wanted| CpuRasterizer.backward_in(&gaussians, &camera, &settings, &tiles, &image, &v_image, wanted, laps);
+        let (all, some) = (grads(None), grads(Some(&wanted[..])));
+        assert_eq!(some.activated.select(&chosen, 5), all.activated.select(&chosen, 5));
+        assert!(chosen.iter().all(|&i| some.v_means2d_ndc[i] == all.v_means2d_ndc[i]));
+        assert!(chosen.iter().all(|&i| some.visible[i] == all.visible[i]));
+        let rest = some.activated.select(&others, 5);
+        assert!(rest.v_means.iter().all(|v| *v == [0.0; 3]) && rest.v_colors.iter().all(|v| *v == 0.0));
+    }
 }
 
 #[test]

@@ -13,7 +13,9 @@
 
 use rayon::prelude::*;
 use tcgs_core::{Activated, Camera, Image, Pinhole};
-use tcgs_render::{CpuTiles, TileMask, gaussians_reaching, weights_step};
+use tcgs_render::{
+    CpuRasterizer, CpuTiles, Laps, RenderSettings, TileMask, gaussians_reaching, tiles_reached, weights_step,
+};
 
 use super::{Blocks, Evidence};
 use crate::config::{GateConfig, MaskConfig};
@@ -92,8 +94,10 @@ impl Activity {
         let drawn = Drawn::new(state, mask, channels > 3);
         let all = drawn.activated();
         let means = state.parameters.gaussians.means();
-        let looks: Vec<ViewLook> =
-            targets.iter().zip(&evidence).map(|(t, e)| ViewLook::new(all, means, t, e, config.matches)).collect();
+        let looks: Vec<ViewLook> = (targets, &evidence)
+            .into_par_iter()
+            .map(|(t, e)| ViewLook::new(all, means, t, e, config.matches))
+            .collect();
         let mut weights = vec![[0.0_f32; 2]; all.num_gaussians()];
         for look in &looks {
             for (sum, weights) in weights.iter_mut().zip(&look.weights) {
@@ -130,12 +134,14 @@ impl Activity {
         }
         activity.active.iter().for_each(|&i| is_held[i] = false);
         activity.held = indices(&is_held);
-        // Active Gaussians answer for every tile in which they are visible, changed or not.
-        for (tiles, target) in activity.tiles.iter_mut().zip(targets) {
-            tiles.union(&tiles_shown(all, &is_active, &target.camera));
-        }
-        activity.cameras = (0..targets.len()).filter(|&i| !activity.tiles[i].is_empty()).collect();
         activity.before = all.select(&activity.active);
+        // Active Gaussians answer for every tile in which they are visible, changed or not.
+        let colors: Vec<f32> = is_active.iter().map(|&is_active| f32::from(u8::from(is_active))).collect();
+        let marked = Activated { colors, num_channels: 1, ..all.clone() };
+        (&mut activity.tiles, targets)
+            .into_par_iter()
+            .for_each(|(tiles, target)| tiles.union(&tiles_shown(&marked, &activity.before, &target.camera)));
+        activity.cameras = (0..targets.len()).filter(|&i| !activity.tiles[i].is_empty()).collect();
         let cameras: Vec<&Camera> = targets.iter().map(|target| &target.camera).collect();
         let (rows, num_active) = (activity.rows(), activity.active.len());
         activity.scenery = Some(scenery_of(&drawn, &rows, num_active, &activity.tiles, pictures, &cameras));
@@ -255,7 +261,8 @@ pub(crate) fn scenery_of(
     let mut is_row = vec![false; all.num_gaussians()];
     rows.iter().for_each(|&i| is_row[i] = true);
     // Indices into the scene, for each view.
-    let reaching: Vec<Vec<u32>> = (tiles.iter().zip(cameras))
+    let reaching: Vec<Vec<u32>> = (tiles, cameras)
+        .into_par_iter()
         .map(|(tiles, camera)| {
             if tiles.is_empty() {
                 return Vec::new();
@@ -394,12 +401,14 @@ fn shown(tiles: &CpuTiles, means: &[[f32; 3]], camera: &Camera) -> Vec<bool> {
 
 /// The tiles in which some Gaussians make up a visible part of the picture.
 ///
-/// - `all`, `is_one`: `[N]`; whether a Gaussian is one of them
-fn tiles_shown(all: &Activated, is_one: &[bool], camera: &Camera) -> TileMask {
+/// - `marked`: all Gaussians of the scene; one channel, 1 for these and 0 for the others
+/// - `these`: these Gaussians alone
+fn tiles_shown(marked: &Activated, these: &Activated, camera: &Camera) -> TileMask {
     let mut tiles = TileMask::none(camera.width, camera.height);
     let (step, camera) = (weights_step(camera), looked_at(camera));
-    let colors: Vec<f32> = is_one.iter().map(|&is_one| f32::from(u8::from(is_one))).collect();
-    let picture = CpuTiles::new(all, &camera).draw(&colors, 1);
+    let mut picture = Image::filled(camera.width, camera.height, 1, 0.0);
+    let (reached, settings) = (tiles_reached(these, &camera), RenderSettings::default());
+    CpuRasterizer.forward_in(marked, &camera, &settings, &reached, &mut picture, &mut Laps::begin());
     for (i, _) in picture.data.iter().enumerate().filter(|(_, share)| **share > MIN_SHARE) {
         let [x, y] = [i % camera.width * step, i / camera.width * step];
         tiles.insert_pixels(x..x + step, y..y + step);

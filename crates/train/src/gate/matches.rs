@@ -224,8 +224,8 @@ fn pyramid(image: &Image) -> Vec<Colors> {
 
 impl Colors {
     fn of(image: &Image) -> Self {
-        let planes = [0, 1, 2].map(|channel| image.plane(channel));
-        let pixels = (0..image.num_pixels()).map(|pixel| planes.map(|plane| plane[pixel])).collect();
+        let [red, green, blue] = [0, 1, 2].map(|channel| image.plane(channel));
+        let pixels = red.iter().zip(green).zip(blue).map(|((&red, &green), &blue)| [red, green, blue]).collect();
         Self { width: image.width, height: image.height, pixels }
     }
 

@@ -127,7 +127,7 @@ impl Gate {
 
     fn remember(&mut self, state: &State, views: &[View], with_segmentation: bool) {
         let drawn = Drawn::new(state, &self.mask, with_segmentation);
-        let pictures = views.iter().map(|view| {
+        let pictures = views.par_iter().map(|view| {
             let (width, height) = (view.image.width, view.image.height);
             let mut picture = Image::filled(width, height, drawn.activated().num_channels, 0.0);
             redraw(&drawn, view, &TileMask::all(width, height), &mut picture);
@@ -219,11 +219,11 @@ impl Gate {
         let all = self.drawn(state);
         let Some(memory) = &mut self.memory else { return };
         let after = all.activated().select(rows);
-        for (picture, view) in memory.pictures.iter_mut().zip(views) {
+        (&mut memory.pictures, views).into_par_iter().for_each(|(picture, view)| {
             let mut tiles = tiles_reached(before, &view.camera);
             tiles.union(&tiles_reached(&after, &view.camera));
             redraw(&all, view, &tiles, picture);
-        }
+        });
     }
 
     /// Blocks of each view that the scene does not explain, among the tiles trained in a timestep.
@@ -257,16 +257,14 @@ impl Gate {
     pub fn end(&mut self, state: &State, views: &[View], activity: &Activity) {
         let Some(memory) = &mut self.memory else { return };
         memory.images = views.iter().map(|view| view.image.clone()).collect();
-        for (i, (picture, view)) in memory.pictures.iter().zip(views).enumerate() {
-            let reference = &mut self.record.errors[i];
-            if !activity.tiles[i].is_empty() {
-                let errors = errors(state, i, picture, &view.image);
-                for tile in activity.tiles[i].iter() {
-                    let grown = errors[tile] - reference[tile];
-                    reference[tile] += if grown > 0.0 { PATIENCE * grown } else { grown };
-                }
+        let of_views = (&mut self.record.errors, &memory.pictures, views, &activity.tiles).into_par_iter().enumerate();
+        of_views.filter(|(_, (.., tiles))| !tiles.is_empty()).for_each(|(i, (reference, picture, view, tiles))| {
+            let errors = errors(state, i, picture, &view.image);
+            for tile in tiles.iter() {
+                let grown = errors[tile] - reference[tile];
+                reference[tile] += if grown > 0.0 { PATIENCE * grown } else { grown };
             }
-        }
+        });
     }
 }
 

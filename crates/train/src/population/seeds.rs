@@ -98,8 +98,8 @@ fn found_by(sights: &[Sight<'_>], of: usize, means: &[[f32; 3]]) -> Vec<Seed> {
             // Among equally good depths the nearest wins: the hull's surface.
             let mut best: Option<(f32, f32)> = None;
             for depth in (0..DEPTHS).map(depth) {
-                let score = score(sights, of, me.pinhole.unproject(place, depth), color);
-                if let Some(score) = score.filter(|score| best.is_none_or(|(highest, _)| *score > highest)) {
+                let to_beat = best.map_or(f32::NEG_INFINITY, |(highest, _)| highest);
+                if let Some(score) = score(sights, of, me.pinhole.unproject(place, depth), color, to_beat) {
                     best = Some((score, depth));
                 }
             }
@@ -117,10 +117,20 @@ fn found_by(sights: &[Sight<'_>], of: usize, means: &[[f32; 3]]) -> Vec<Seed> {
     seeds
 }
 
-/// Score of the other views' agreement that a point of this colour is new; none if they disagree.
-fn score(sights: &[Sight<'_>], of: usize, point: [f32; 3], color: [f32; 3]) -> Option<f32> {
+/// Score of the other views' agreement that a point of this colour is new.
+///
+/// - `to_beat`: a score
+/// - returns: none if the views disagree, or if the score is not above `to_beat`
+fn score(sights: &[Sight<'_>], of: usize, point: [f32; 3], color: [f32; 3], to_beat: f32) -> Option<f32> {
     let (mut agreeing, mut against, mut difference) = (0, 0, 0.0);
-    for other in sights.iter().enumerate().filter(|(i, _)| *i != of).map(|(_, sight)| sight) {
+    let is_won = |agreeing: usize, against: usize, difference: f32| {
+        let is_agreed = agreeing >= MIN_AGREEING && 2 * against <= agreeing;
+        Some(agreeing as f32 - against as f32 - difference).filter(|score| is_agreed && *score > to_beat)
+    };
+    for (i, other) in sights.iter().enumerate().filter(|(i, _)| *i != of) {
+        // Not even if all views that are left agree.
+        let left = sights.len() - i - usize::from(i < of);
+        is_won(agreeing + left, against, difference)?;
         let Some((pixel, _)) = other.pinhole.pixel(point) else { continue };
         let [x, y] = [pixel % other.pinhole.width, pixel / other.pinhole.width];
         if !other.unexplained.at(x, y) {
@@ -135,8 +145,7 @@ fn score(sights: &[Sight<'_>], of: usize, point: [f32; 3], color: [f32; 3]) -> O
             difference += distance / SAME_COLOR;
         }
     }
-    let is_agreed = agreeing >= MIN_AGREEING && 2 * against <= agreeing;
-    is_agreed.then_some(agreeing as f32 - against as f32 - difference)
+    is_won(agreeing, against, difference)
 }
 
 /// The nearest and the farthest depth of the scene in a view; none if the view sees no part of it.

@@ -16,6 +16,8 @@ pub(super) struct Stage {
     drawn: Activated,
     /// `[rows]`, position in `drawn` of each row of the state; empty if there are no tiles.
     places: Vec<usize>,
+    /// Which of `drawn` are trained: the first rows of the state.
+    is_trained: Vec<bool>,
     /// `[C, H, W]`, redrawn in the tiles.
     picture: Image,
 }
@@ -23,17 +25,19 @@ pub(super) struct Stage {
 impl Stage {
     /// The stages of all views.
     pub fn all(scenery: Scenery) -> Vec<Self> {
-        let Scenery { drawn, places, views, .. } = scenery;
+        let Scenery { num_active, drawn, places, views } = scenery;
         let of = |ViewScenery { tiles, gaussians, colors, picture }: ViewScenery| {
             let indices: Vec<usize> = gaussians.iter().map(|&i| i as usize).collect();
             let place = |row: &u32| gaussians.binary_search(row).expect("a view has all rows");
-            let places = if gaussians.is_empty() { Vec::new() } else { places.iter().map(place).collect() };
+            let places: Vec<usize> = if gaussians.is_empty() { Vec::new() } else { places.iter().map(place).collect() };
+            let mut is_trained = vec![false; gaussians.len()];
+            places.iter().take(num_active).for_each(|&place| is_trained[place] = true);
             let mut drawn = drawn.select(&indices);
             if let Some(colors) = colors {
                 assert_eq!(colors.len(), drawn.colors.len(), "colours that a camera sees");
                 drawn.colors = colors;
             }
-            Self { tiles, drawn, places, picture }
+            Self { tiles, drawn, places, is_trained, picture }
         };
         views.into_iter().map(of).collect()
     }
@@ -56,7 +60,7 @@ impl Stage {
     /// Renders the state's rows among their scenery, in the tiles of the view, and takes the losses back to the rows.
     ///
     /// - `v_image`: memory for the gradient of the image; overwritten in the tiles drawn
-    /// - returns: the losses, and the gradients to `rows`
+    /// - returns: the losses, and the gradients to `rows`: 0 for those that are not trained
     pub fn render(
         &mut self,
         rows: &Activated,
@@ -68,7 +72,7 @@ impl Stage {
     ) -> (ImageLoss, RenderGrads) {
         let (settings, camera) = (settings_of(step), &target.camera);
         self.place(rows);
-        let Self { tiles, drawn, picture, places } = self;
+        let Self { tiles, drawn, places, is_trained, picture } = self;
         let sorted = CpuRasterizer.forward_in(drawn, camera, &settings, tiles, picture, laps);
         let [gain, offset] = [p.camera_gains[step.camera], p.camera_offsets[step.camera]];
         let weights = step.weights;
@@ -79,7 +83,8 @@ impl Stage {
         let (image, segmentation) = (weights.image, weights.segmentation);
         let loss = image_loss_in(picture, &target.image, tiles, gain, offset, image, segmentation, v_image);
         laps.lap("image losses");
-        let grads = CpuRasterizer.backward_in(drawn, camera, &settings, &sorted, picture, v_image, laps);
+        let grads =
+            CpuRasterizer.backward_in(drawn, camera, &settings, &sorted, picture, v_image, Some(is_trained), laps);
         let of_rows = RenderGrads {
             activated: grads.activated.select(places, drawn.num_channels),
             v_means2d_ndc: places.iter().map(|&i| grads.v_means2d_ndc[i]).collect(),
