@@ -14,7 +14,7 @@ from string import Template
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-# Of all scenes together: they are committed.
+# Bytes of all scenes together, which are committed.
 MAX_SCENES_BYTES = 2_000_000
 TITLES = {"toss": "Toss", "kitchen": "Kitchen", "demo": "Demo"}
 

@@ -28,8 +28,8 @@ FRAMES = 90
 # The films of all scenes together stay below what a visitor's first load may have.
 MAX_FILM_BYTES = 190_000
 MAX_README_BYTES = 1_500_000
-# Most Gaussians, counted anew in each timestep, of a .4dgs file that its reader accepts. PSNR is measured on the timesteps
-# from the first that have so many.
+# The reader of .4dgs files accepts so many Gaussians, summed over the timesteps. PSNR is measured on the first timesteps that
+# stay below.
 MAX_FOURDGS_ROWS = 2_900_000
 
 # Where the camera of a film stands: on a circle of `radius` around `target`, `rise` above it (y points down in all

@@ -408,7 +408,7 @@ test("a scene without antialiasing shows in WebGL2 as tcgs renders it", async (t
   const options = { from: server, viewport: { width: 320, height: 240 }, webgpu: false };
   const page = await loaded(await open(t, `${EXACT}&controls=0`, options));
   await page.keyboard.press("k");
-  const file = join(scratch, "kitchen.json");
+  const file = join(scratch, "plain.json");
   const download = page.waitForEvent("download");
   await page.evaluate(() => document.querySelector("#path-save").click());
   await (await download).saveAs(file);

@@ -357,7 +357,7 @@ fn bwd<const C: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
 ) {
     let is_wanted = |gaussian: u32| wanted.is_none_or(|wanted| wanted[gaussian as usize]);
     let pairs = &tiles.pair_splats[tiles.pairs(tile)];
-    // What lies behind the last one changes no gradient that is wanted.
+    // Splats behind the last wanted one are skipped: the finished image has their colours.
     let Some(last) = pairs.iter().rposition(|&splat| is_wanted(tiles.splats[splat as usize].gaussian)) else { return };
     let origin = origin(tiles, tile);
     let mut transmittance = start_transmittance(origin, image.width, image.height);
