@@ -102,11 +102,12 @@ KEPT_NAMES = {"splat_transform.compressed.ply", "splat_transform.glb", "splat_tr
 # These formats hold the first of the original's Gaussians, and colours between 0 and 1.
 SHORT = (".4dgs", ".ksplat")
 NUM_SHORT = 40
-# Files that tcgs writes: endings, format, what it rounds.
+# Files that tcgs writes: endings, format, what it rounds. A file's ending selects the version of SPZ, too.
 WRITTEN = [
     (".ply", "PLY", EXACT),
     (".compressed.ply", "compressed PLY", PACKED),
-    (".spz", "SPZ 4", {**SPZ, "harmonics": 0.5 / 128}),
+    ("_v3.spz", "SPZ 3", {**SPZ, "harmonics": 0.5 / 128}),
+    ("_v4.spz", "SPZ 4", {**SPZ, "harmonics": 0.5 / 128}),
     (".sog", "SOG 2", SOG),
     ("/meta.json", "unpacked SOG 2", SOG),
 ]
@@ -116,7 +117,7 @@ READERS = [
     ("gaussforge.back.ply", "gaussforge 0.6.0", ".ply"),
     ("plyfile.back.ply", "plyfile 1.1.5", ".ply"),
     ("spz-js.back.ply", "spz-js 1.2.5", ".ply"),
-    ("niantic.back.ply", "Niantic's library (@adobe/spz 0.2.3)", ".spz"),
+    *((f"niantic_v{version}.back.ply", "Niantic's library (@adobe/spz 0.2.3)", f"_v{version}.spz") for version in [3, 4]),
     *((f"splat-transform{ending.replace('/', '_')}.back.ply", "splat-transform 3.7.0", ending) for ending, _, _ in WRITTEN),
 ]
 
@@ -143,9 +144,11 @@ const plain = { ...cloud, extensions: [] };
 for (const version of [2, 3, 4]) {
     writeFileSync(join(folder, `niantic_v${version}.spz`), spz.saveSpzToBuffer(plain, { ...pack, version }));
 }
-// The library turns what declares other axes.
-const read = spz.loadSpzFromBuffer(readFileSync(join(folder, "tcgs.spz")), { to: RDF });
-writeFileSync(join(folder, "niantic.back.ply"), Buffer.from(spzJs.serializePly(read)));
+// The library turns what declares other axes. It reads no extension of version 3, so there it is asked for the file's axes.
+for (const version of [3, 4]) {
+    const read = spz.loadSpzFromBuffer(readFileSync(join(folder, `tcgs_v${version}.spz`)), { to: version === 3 ? UNSPECIFIED : RDF });
+    writeFileSync(join(folder, `niantic_v${version}.back.ply`), Buffer.from(spzJs.serializePly(read)));
+}
 // Turned to RUB by the library. Its binding for JavaScript cannot write the extension that declares the axes: the
 // record is added.
 const turned = Buffer.from(spz.saveSpzToBuffer(plain, { ...pack, version: 4, from: RDF }));
@@ -222,7 +225,8 @@ def make(folder: Path, tcgs: str) -> None:
     """Has every program write its files into a folder."""
     node = install()
     for ending, _, _ in WRITTEN:
-        run(tcgs, "export", ORIGINAL, "--to", folder / f"tcgs{ending}")
+        version = ["--spz-version", ending[2]] if ending.endswith(".spz") else []
+        run(tcgs, "export", ORIGINAL, "--to", folder / f"tcgs{ending}", *version)
     run(node, "--input-type=module", "-e", NODE, folder, ORIGINAL, cwd=TOOLS / "3.7")
     run(TOOLS / "venv/bin/python", "-c", PYTHON, folder, ORIGINAL)
     for version, prefix in [("2.7", "splat_transform"), ("3.7", "splat_transform_37")]:

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::anyhow;
 use serde_json::json;
 use tcgs_core::{SceneReader, read_file};
-use tcgs_interchange::parent_folder;
+use tcgs_interchange::{SpzVersion, parent_folder};
 use tcgs_pipeline::{Export, NewFolder, TimestepKind};
 use tcgs_serve::{NO_PAGE, PAGE, single_file};
 
@@ -34,11 +34,11 @@ pub const MAX_PAGE_SCENE: u64 = 1 << 28;
 /// KHR_gaussian_splatting. Files of the endings .compressed.ply, .spz and .sog are smaller and round all numbers; a
 /// .sog file rounds colours and harmonics most. All of these hold one timestep; in a folder of many a file's name is
 /// its frame. NAME/meta.json is a .sog file unpacked into the new folder NAME. An .spz file declares the axes of PLY
-/// files; version 4 of the format is written. A .4dgs file holds all timesteps, quantised as finely as its format
-/// offers. A .usda file is animated USD for Omniverse, Houdini and others (ParticleField3DGaussianSplat of OpenUSD
-/// 26.03), as text: usdcat makes it smaller. A .f32 file holds plain floats, bit for bit: for each frame all means,
-/// quats, log_scales, logit_opacities and colors, then further columns, little-endian. A run is exported in floats,
-/// without the Gaussians that its masks prune: these files cannot hold masks.
+/// files. A .4dgs file holds all timesteps, quantised as finely as its format offers. A .usda file is animated USD for
+/// Omniverse, Houdini and others (ParticleField3DGaussianSplat of OpenUSD 26.03), as text: usdcat makes it smaller. A
+/// .f32 file holds plain floats, bit for bit: for each frame all means, quats, log_scales, logit_opacities and colors,
+/// then further columns, little-endian. A run is exported in floats, without the Gaussians that its masks prune: these
+/// files cannot hold masks.
 ///
 /// A .html file is the player with a .tcgs file in it. A browser opens it from a disk, without a server and without a
 /// network.
@@ -66,6 +66,9 @@ pub struct Arguments {
     /// Which files a folder gets
     #[arg(long, value_name = "KIND", default_value = "ply")]
     files: Files,
+    /// Version of .spz files. More programs read 3, which is smaller [default: 3]
+    #[arg(long, value_name = "N")]
+    spz_version: Option<SpzVersions>,
     /// Frames of the capture, from A up to but not including B [default: all of the scene]
     #[arg(long, value_name = "A..B")]
     frames: Option<Frames>,
@@ -80,7 +83,7 @@ enum Files {
     Ply,
     /// Compressed PLY of SuperSplat
     CompressedPly,
-    /// SPZ, version 3
+    /// SPZ
     Spz,
     /// glTF with KHR_gaussian_splatting
     Glb,
@@ -93,9 +96,26 @@ impl From<Files> for TimestepKind {
         match files {
             Files::Ply => Self::Ply,
             Files::CompressedPly => Self::CompressedPly,
-            Files::Spz => Self::Spz,
+            Files::Spz => Self::Spz(SpzVersion::default()),
             Files::Glb => Self::Glb,
             Files::Sog => Self::Sog,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum SpzVersions {
+    #[value(name = "3")]
+    V3,
+    #[value(name = "4")]
+    V4,
+}
+
+impl From<SpzVersions> for SpzVersion {
+    fn from(version: SpzVersions) -> Self {
+        match version {
+            SpzVersions::V3 => Self::V3,
+            SpzVersions::V4 => Self::V4,
         }
     }
 }
@@ -219,8 +239,22 @@ fn write_page(arguments: &Arguments) -> anyhow::Result<()> {
     job.write_json(&json!({ "out": to.display().to_string(), "bytes": html.len() }))
 }
 
-/// Selects the format by the ending. Refuses before the work what could not be written after it.
+/// Selects the format by the ending and the options. Refuses before the work what could not be written after it.
 fn target(arguments: &Arguments) -> anyhow::Result<Target> {
+    let mut target = target_by_ending(arguments)?;
+    if let Some(version) = arguments.spz_version {
+        let (Target::Timestep(kind @ TimestepKind::Spz(_)) | Target::Folder(kind @ TimestepKind::Spz(_), _)) =
+            &mut target
+        else {
+            let problem = "--spz-version of a file that is no SPZ";
+            return Err(wrong_input(format!("{problem}, expected --to NAME.spz, or --files spz and a folder")));
+        };
+        *kind = TimestepKind::Spz(version.into());
+    }
+    Ok(target)
+}
+
+fn target_by_ending(arguments: &Arguments) -> anyhow::Result<Target> {
     let (to, job, scene) = (&arguments.to, &arguments.job, arguments.scene.as_path());
     let file = |target| job.begin(&[to], &[scene]).map(|()| target);
     if let Some(kind) = TimestepKind::of(to).filter(|_| !to.is_dir()) {

@@ -6,7 +6,7 @@
 //! | one file per timestep: any of the following, also of several kinds | [`TimestepFiles`], [`read_gaussians`] | – |
 //! | PLY of 3D Gaussian splatting | [`read_ply`] | [`write_ply_to`] |
 //! | compressed PLY of `SuperSplat` and splat-transform | [`read_ply`] | [`write_compressed_ply_to`] |
-//! | SPZ, versions 2 to 4 | [`read_gaussians`] | [`write_spz_to`], version 3 |
+//! | SPZ, versions 2 to 4 | [`read_gaussians`] | [`write_spz_to`], version 3 or 4 |
 //! | glTF with `KHR_gaussian_splatting`, `.glb` and `.gltf` | [`read_gaussians`] | [`write_glb_to`], `.glb` |
 //! | SOG, version 2, `.sog` | [`read_gaussians`] | [`write_sog_to`] |
 //! | unpacked SOG, `meta.json` beside images | [`read_gaussians`] | [`sog_files`] |
@@ -64,7 +64,7 @@ pub use ply_points::read_ply_points;
 pub use settings::{HigherHarmonics, ReadLimits, ReadSettings};
 pub use sog::{is_sog_file, sog_files, write_sog_to};
 pub use space_order::space_order;
-pub use spz::write_spz_to;
+pub use spz::{SpzVersion, write_spz_to};
 pub use timestep_files::TimestepFiles;
 pub use unfinished::{
     ABANDONED, Existing, Kept, Unfinished, is_unfinished, moving, parent_folder, remove_held, remove_unfinished,

@@ -80,6 +80,18 @@ fn a_scene_becomes_files_of_every_kind_and_is_read_again() {
         assert_eq!(fs::read(&one).unwrap(), fs::read(out.join(format!("000000{ending}"))).unwrap());
         succeed(&["export", text(&source), "--to", text(&out), "--files", files, "--force"]);
     }
+    let [v3, v4] = [path("spz"), path("spz4")];
+    succeed(&["export", text(&path("source")), "--to", text(&v4), "--files", "spz", "--spz-version", "4"]);
+    let [v3, v4] = [v3, v4].map(|spz| {
+        (fs::read(spz.join("000000.spz")).unwrap(), TimestepFiles::open(&spz, ReadSettings::default()).unwrap())
+    });
+    assert!(v3.0.starts_with(&[0x1F, 0x8B]) && v4.0.starts_with(b"NGSP\x04"));
+    assert_eq!(v3.1.read(0..3).unwrap(), v4.1.read(0..3).unwrap());
+    let message = fail(2, &["export", text(&path("source")), "--to", text(&path("plys")), "--spz-version", "4"]);
+    assert!(
+        message.contains("--spz-version of a file that is no SPZ, expected --to NAME.spz, or --files spz"),
+        "{message}"
+    );
     let message = fail(2, &["export", text(&path("source")), "--to", text(&path("a.splat"))]);
     assert!(message.contains("NAME.compressed.ply, NAME.spz, NAME.glb, NAME.sog, NAME/meta.json"), "{message}");
 }

@@ -1,4 +1,4 @@
-//! One SPZ file of Niantic, versions 2 to 4: one timestep. Version 3 is written, too (`write`).
+//! One SPZ file of Niantic, versions 2 to 4: one timestep. Versions 3 and 4 are written, too (`write`).
 //! What does not live here: what the bytes of the arrays mean (`unpack`).
 //!
 //! A header of 16 bytes, little-endian, in versions 2 and 3 the start of a gzip stream, in version 4 plain and followed
@@ -42,7 +42,7 @@ use ruzstd::decoding::StreamingDecoder;
 use tcgs_core::{Gaussians, Layout, MAX_SH_DEGREE};
 
 use self::unpack::{Arrays, Encoding};
-pub use self::write::write_spz_to;
+pub use self::write::{SpzVersion, write_spz_to};
 use crate::axes::Axes;
 use crate::stored::Head;
 use crate::{HigherHarmonics, InterchangeError, ReadSettings, input};

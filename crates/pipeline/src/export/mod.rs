@@ -10,8 +10,8 @@ use std::sync::Arc;
 
 use tcgs_core::{Attribute, Column, Gaussians, Layout, SceneReader};
 use tcgs_interchange::{
-    Axes, ParamsExtras, ParamsOrigin, fourdgs_bytes, sog_files, space_order, write_compressed_ply_to, write_glb_to,
-    write_params_npz_from, write_ply_to, write_sog_to, write_spz_to, write_usda_to,
+    Axes, ParamsExtras, ParamsOrigin, SpzVersion, fourdgs_bytes, sog_files, space_order, write_compressed_ply_to,
+    write_glb_to, write_params_npz_from, write_ply_to, write_sog_to, write_spz_to, write_usda_to,
 };
 use tcgs_train::StandIns;
 
@@ -30,8 +30,8 @@ pub enum TimestepKind {
     Ply,
     /// Compressed PLY of `SuperSplat`.
     CompressedPly,
-    /// SPZ, version 3.
-    Spz,
+    /// SPZ.
+    Spz(SpzVersion),
     /// glTF with `KHR_gaussian_splatting`, in one file.
     Glb,
     /// SOG, version 2, in one file.
@@ -39,15 +39,15 @@ pub enum TimestepKind {
 }
 
 impl TimestepKind {
-    /// Every kind. An ending that ends in another's comes first.
-    pub const ALL: [Self; 5] = [Self::CompressedPly, Self::Ply, Self::Spz, Self::Glb, Self::Sog];
+    /// A kind for every ending. An ending that ends in another's comes first.
+    pub const ALL: [Self; 5] = [Self::CompressedPly, Self::Ply, Self::Spz(SpzVersion::V3), Self::Glb, Self::Sog];
 
     /// The ending of such a file's name, with its dot.
     pub fn ending(self) -> &'static str {
         match self {
             Self::Ply => ".ply",
             Self::CompressedPly => ".compressed.ply",
-            Self::Spz => ".spz",
+            Self::Spz(_) => ".spz",
             Self::Glb => ".glb",
             Self::Sog => ".sog",
         }
@@ -71,7 +71,7 @@ impl TimestepKind {
         match self {
             Self::Ply => "a PLY file",
             Self::CompressedPly => "a compressed PLY file",
-            Self::Spz => "an SPZ file",
+            Self::Spz(_) => "an SPZ file",
             Self::Glb => "a glTF file",
             Self::Sog => "a SOG file",
         }
@@ -88,7 +88,7 @@ impl TimestepKind {
             Self::Ply => write_ply_to(&mut writer, gaussians)?,
             Self::CompressedPly => write_compressed_ply_to(&mut writer, gaussians)?,
             // Axes that programs assume which ignore the declared ones.
-            Self::Spz => write_spz_to(&mut writer, gaussians, Axes::RDF)?,
+            Self::Spz(version) => write_spz_to(&mut writer, gaussians, Axes::RDF, version)?,
             Self::Glb => write_glb_to(&mut writer, gaussians)?,
             Self::Sog => write_sog_to(&mut writer, gaussians)?,
         }

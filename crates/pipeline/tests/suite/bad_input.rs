@@ -10,7 +10,7 @@ use crate::support::{files, open};
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
 use tcgs_codec::{CompressSettings, DecodeLimits, inspect};
 use tcgs_core::{Attribute, Column, DynamicGaussians, Gaussians, Layout, Tour};
-use tcgs_interchange::write_ply_to;
+use tcgs_interchange::{SpzVersion, write_ply_to};
 use tcgs_pipeline::{
     Backend, CameraAt, CompressOptions, EvaluateSettings, Event, Export, Fault, HasFault, Judge, JudgeImages,
     OpenScene, OpenSettings, PipelineError, PrunedScene, Target, TimestepKind, Unobserved, compress_scene, evaluate,
@@ -285,7 +285,7 @@ fn a_run_with_a_column_that_no_format_holds_is_refused_by_name() {
     for (kind, name) in [
         (TimestepKind::Ply, "a PLY file"),
         (TimestepKind::CompressedPly, "a compressed PLY file"),
-        (TimestepKind::Spz, "an SPZ file"),
+        (TimestepKind::Spz(SpzVersion::V3), "an SPZ file"),
         (TimestepKind::Glb, "a glTF file"),
         (TimestepKind::Sog, "a SOG file"),
     ] {

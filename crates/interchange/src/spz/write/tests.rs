@@ -7,18 +7,22 @@ use super::*;
 use crate::testing::{Bounds, assert_near, awkward, random};
 use crate::{ReadSettings, TimestepFiles, read_gaussians};
 
-fn written(gaussians: &Gaussians, axes: Axes) -> Vec<u8> {
+fn written(gaussians: &Gaussians, axes: Axes, version: SpzVersion) -> Vec<u8> {
     let mut bytes = Vec::new();
-    write_spz_to(&mut bytes, gaussians, axes).unwrap();
+    write_spz_to(&mut bytes, gaussians, axes, version).unwrap();
     bytes
 }
 
+/// Writes and reads both versions, which hold the same numbers.
 fn again(gaussians: &Gaussians, axes: Axes) -> Gaussians {
-    let file = tempfile::NamedTempFile::new().unwrap();
-    std::fs::write(file.path(), written(gaussians, axes)).unwrap();
-    let read = read_gaussians(file.path(), ReadSettings::default()).unwrap();
-    let files = TimestepFiles::open(file.path(), ReadSettings::default()).unwrap();
-    assert_eq!((files.axes(), files.notes()), (axes, vec![]));
+    let [read, other] = [SpzVersion::V3, SpzVersion::V4].map(|version| {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), written(gaussians, axes, version)).unwrap();
+        let files = TimestepFiles::open(file.path(), ReadSettings::default()).unwrap();
+        assert_eq!((files.axes(), files.notes()), (axes, vec![]));
+        read_gaussians(file.path(), ReadSettings::default()).unwrap()
+    });
+    assert_eq!(read, other);
     read
 }
 
@@ -38,7 +42,7 @@ fn numbers_come_back_within_half_a_step_from_any_axes() {
         let gaussians = random([1, 257, 2, 1000, 3, 256, 255, 4][i], i % 4);
         assert_near(&again(&gaussians, axes), &gaussians, &BOUNDS);
     }
-    // More than a window of gzip in each array.
+    // More than a window of gzip and a block of Zstandard in each array.
     let many = random(150_000, 0);
     assert_near(&again(&many, Axes::RUB), &many, &BOUNDS);
 }
@@ -78,7 +82,7 @@ fn fractional_bits_follow_the_largest_coordinate() {
             let bounds = Bounds { mean: [0.5 / f64::from(1_u32 << bits); 3], ..BOUNDS };
             assert_near(&again(&gaussians, Axes::RUB), &gaussians, &bounds);
         } else {
-            let error = write_spz_to(Vec::new(), &gaussians, Axes::RUB).unwrap_err();
+            let error = write_spz_to(Vec::new(), &gaussians, Axes::RUB, SpzVersion::V3).unwrap_err();
             assert_eq!(error.to_string(), "an SPZ file holds coordinates up to 8388607 units");
         }
     }
@@ -104,11 +108,18 @@ fn flags_and_bytes_are_those_of_the_gaussians() {
         let layout = Layout::with_harmonics(2).antialiased(is_antialiased);
         let gaussians = random(20, 2).extended(&layout);
         assert_eq!(*again(&gaussians, Axes::RDF).layout(), layout);
-        let bytes = written(&gaussians, Axes::RDF);
-        assert_eq!(bytes, written(&gaussians, Axes::RDF));
+        let [v3, v4] = [SpzVersion::V3, SpzVersion::V4].map(|version| {
+            let bytes = written(&gaussians, Axes::RDF, version);
+            assert_eq!(bytes, written(&gaussians, Axes::RDF, version));
+            bytes
+        });
         let mut plain = Vec::new();
-        GzDecoder::new(&bytes[..]).read_to_end(&mut plain).unwrap();
-        assert_eq!(plain[..8], *b"NGSP\x03\0\0\0");
-        assert_eq!(plain[12..16], [2, 16, 2 + u8::from(is_antialiased), 0]);
+        GzDecoder::new(&v3[..]).read_to_end(&mut plain).unwrap();
+        let flags = 2 + u8::from(is_antialiased);
+        for (plain, version, num_streams) in [(plain, 3, 0), (v4, 4, 6)] {
+            assert_eq!(plain[..8], [b'N', b'G', b'S', b'P', version, 0, 0, 0]);
+            assert_eq!(plain[12..16], [2, 16, flags, num_streams]);
+        }
     }
+    assert_eq!(written(&random(20, 0), Axes::RUB, SpzVersion::V4)[15], 5);
 }
