@@ -10,6 +10,7 @@
 mod captures;
 mod error;
 mod program;
+mod sizes;
 mod tables;
 
 use std::process::ExitCode;
@@ -54,12 +55,14 @@ struct Arguments {
 #[derive(Subcommand)]
 enum Experiment {
     Captures(captures::Arguments),
+    Sizes(sizes::Arguments),
 }
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
     let run = || match &arguments.experiment {
         Some(Experiment::Captures(arguments)) => captures::run(arguments),
+        Some(Experiment::Sizes(arguments)) => sizes::run(arguments),
         None => tables::run(&arguments.table),
     };
     match program::catch_signals().and_then(|()| run()) {

@@ -5,7 +5,7 @@
 
 use std::env::consts::EXE_SUFFIX;
 use std::path::PathBuf;
-use std::process::{Command, ExitStatus};
+use std::process::{Child, Command, ExitStatus};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use anyhow::Context;
@@ -94,6 +94,11 @@ fn terminate(process: u32) {
 /// # Errors
 /// [`Stopped`] after a signal; the errors of starting a process.
 pub fn run(step: &mut Command) -> anyhow::Result<ExitStatus> {
+    run_measured(step).map(|(status, _)| status)
+}
+
+/// The same, with the most memory that the process held, bytes; 0 where this is not Linux.
+pub fn run_measured(step: &mut Command) -> anyhow::Result<(ExitStatus, u64)> {
     if ASKED.load(Ordering::SeqCst) {
         return Err(Stopped.into());
     }
@@ -102,9 +107,36 @@ pub fn run(step: &mut Command) -> anyhow::Result<ExitStatus> {
     std::os::unix::process::CommandExt::process_group(step, 0);
     let mut child = step.spawn().with_context(|| format!("starting {}", step.get_program().display()))?;
     STEP.store(child.id(), Ordering::SeqCst);
-    let status = child.wait();
+    let status = wait(&mut child);
     STEP.store(0, Ordering::SeqCst);
-    let status = status?;
+    let (status, memory) = status?;
     let was_stopped = status.code() == Some(STOPPED) || !status.success() && ASKED.load(Ordering::SeqCst);
-    if was_stopped { Err(Stopped.into()) } else { Ok(status) }
+    if was_stopped { Err(Stopped.into()) } else { Ok((status, memory)) }
+}
+
+/// Waits for the end of a process, and gives the most memory that it held, bytes.
+#[cfg(target_os = "linux")]
+fn wait(child: &mut Child) -> std::io::Result<(ExitStatus, u64)> {
+    let mut status = 0;
+    // SAFETY: all zeros are such numbers.
+    #[allow(unsafe_code)]
+    let mut usage: libc::rusage = unsafe { std::mem::zeroed() };
+    loop {
+        // SAFETY: both places live on.
+        #[allow(unsafe_code)]
+        let ended = unsafe { libc::wait4(child.id().cast_signed(), &raw mut status, 0, &raw mut usage) };
+        if ended > 0 {
+            let status = std::os::unix::process::ExitStatusExt::from_raw(status);
+            return Ok((status, 1024 * usage.ru_maxrss.unsigned_abs()));
+        }
+        let error = std::io::Error::last_os_error();
+        if error.kind() != std::io::ErrorKind::Interrupted {
+            return Err(error);
+        }
+    }
+}
+
+#[cfg(not(target_os = "linux"))]
+fn wait(child: &mut Child) -> std::io::Result<(ExitStatus, u64)> {
+    Ok((child.wait()?, 0))
 }
