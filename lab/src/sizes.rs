@@ -144,9 +144,10 @@ impl Row {
 
 /// The table, in Markdown.
 fn text(rows: &[Row]) -> String {
-    let mut text = "| images | Gaussians | first timestep, s | its iteration, ms | later timestep, s | its iteration, ms \
+    let mut text =
+        "| images | Gaussians | first timestep, s | its iteration, ms | later timestep, s | its iteration, ms \
                     | ns a pixel | PSNR, dB | memory, MB |\n|---|---|---|---|---|---|---|---|---|\n"
-        .to_owned();
+            .to_owned();
     for row in rows {
         let (Size(width, height), [first, later], [of_first, of_later]) = (row.size, row.seconds, row.iteration);
         let [per_first, per_later] = row.iteration.map(|ms| 1e6 * ms / row.pixels());
