@@ -198,34 +198,60 @@ impl Lens {
     ///
     /// - `image`: of [`Self::size`]
     pub fn straighten(&self, image: &RgbImage) -> Image {
-        let crop = self.crop;
-        let mut out = Image::filled(crop.width, crop.height, 3, 0.0);
-        let num_pixels = out.num_pixels();
-        for i in 0..num_pixels {
-            let (x, y) = (crop.left + i % crop.width, crop.top + i / crop.width);
-            let [u, v] = self.bend([x as f64 + 0.5, y as f64 + 0.5]);
-            let color = interpolate(image, u - 0.5, v - 0.5);
-            for (channel, value) in color.into_iter().enumerate() {
-                out.data[channel * num_pixels + i] = value / 255.0;
+        let Crop { left, top, width, height } = self.crop;
+        let mut out = Image::filled(width, height, 3, 0.0);
+        let columns: Vec<f64> = (left..left + width).map(|x| x as f64 + 0.5).collect();
+        // Places in the distorted image of a row of pixels: a loop of its own, which vectorises.
+        let mut places = [vec![0.0; width], vec![0.0; width]];
+        let (pixels, num_pixels) = (Bilinear::of(image), out.num_pixels());
+        let (red, others) = out.data.split_at_mut(num_pixels);
+        let (green, blue) = others.split_at_mut(num_pixels);
+        for y in 0..height {
+            let [us, vs] = &mut places;
+            let row = (top + y) as f64 + 0.5;
+            for ((&column, u), v) in columns.iter().zip(&mut *us).zip(&mut *vs) {
+                [*u, *v] = self.bend([column, row]);
+            }
+            let [red, green, blue] = [&mut *red, green, blue].map(|plane| &mut plane[y * width..][..width]);
+            for ((((&u, &v), red), green), blue) in us.iter().zip(&*vs).zip(red).zip(green).zip(blue) {
+                [*red, *green, *blue] = pixels.interpolated(u - 0.5, v - 0.5).map(|value| value / 255.0);
             }
         }
         out
     }
 }
 
-/// - `x`, `y`: pixels from the centre of the first pixel; the outermost pixels' colour extends beyond their centres
-fn interpolate(image: &RgbImage, x: f64, y: f64) -> [f32; 3] {
-    let (width, height) = (image.width() as usize, image.height() as usize);
-    let (x, y) = (x.clamp(0.0, (width - 1) as f64), y.clamp(0.0, (height - 1) as f64));
-    let (x0, y0) = (x as usize, y as usize);
-    let (x1, y1) = ((x0 + 1).min(width - 1), (y0 + 1).min(height - 1));
-    let (fx, fy) = ((x - x0 as f64) as f32, (y - y0 as f64) as f32);
-    let at = |x: usize, y: usize| image.get_pixel(x as u32, y as u32).0.map(f32::from);
-    let [a, b, c, d] = [at(x0, y0), at(x1, y0), at(x0, y1), at(x1, y1)];
-    std::array::from_fn(|i| {
-        let (top, bottom) = (a[i] + fx * (b[i] - a[i]), c[i] + fx * (d[i] - c[i]));
-        top + fy * (bottom - top)
-    })
+/// An image between its pixels.
+struct Bilinear<'a> {
+    width: usize,
+    height: usize,
+    /// `[H, W, 3]`
+    bytes: &'a [u8],
+}
+
+impl<'a> Bilinear<'a> {
+    fn of(image: &'a RgbImage) -> Self {
+        Self { width: image.width() as usize, height: image.height() as usize, bytes: image.as_raw() }
+    }
+
+    /// The colour at a place, 0 to 255, by bilinear interpolation.
+    ///
+    /// - `x`, `y`: pixels from the centre of the first pixel; the outermost pixels' colour extends beyond their centres
+    fn interpolated(&self, x: f64, y: f64) -> [f32; 3] {
+        let (last_x, last_y) = (self.width - 1, self.height - 1);
+        let (x, y) = (x.clamp(0.0, last_x as f64), y.clamp(0.0, last_y as f64));
+        // Nothing is negative here.
+        let (x0, y0) = (x as u32 as usize, y as u32 as usize);
+        let (fx, fy) = ((x - x0 as f64) as f32, (y - y0 as f64) as f32);
+        let (right, below) = (3 * usize::from(x0 < last_x), 3 * self.width * usize::from(y0 < last_y));
+        let at = 3 * (y0 * self.width + x0);
+        let [top, bottom] = [at, at + below].map(|at| &self.bytes[at..at + right + 3]);
+        std::array::from_fn(|i| {
+            let [a, b, c, d] = [top[i], top[right + i], bottom[i], bottom[right + i]].map(f32::from);
+            let (top, bottom) = (a + fx * (b - a), c + fx * (d - c));
+            top + fy * (bottom - top)
+        })
+    }
 }
 
 #[cfg(test)]
@@ -275,6 +301,43 @@ mod tests {
             }
             assert!(worst < 1.2, "off by {worst} of 255 with k1 {k1}");
         }
+    }
+
+    /// One pixel after another.
+    fn slow_straighten(lens: &Lens, image: &RgbImage) -> Vec<f32> {
+        let (last_x, last_y) = (f64::from(image.width() - 1), f64::from(image.height() - 1));
+        let Crop { left, top, width, height } = lens.crop;
+        let value = |channel: usize, x: usize, y: usize| {
+            let [u, v] = lens.bend([(left + x) as f64 + 0.5, (top + y) as f64 + 0.5]);
+            let (u, v) = ((u - 0.5).clamp(0.0, last_x), (v - 0.5).clamp(0.0, last_y));
+            let (du, dv) = (u.fract() as f32, v.fract() as f32);
+            let at = |u: f64, v: f64| f32::from(image.get_pixel(u.min(last_x) as u32, v.min(last_y) as u32).0[channel]);
+            let between = |v: f64| at(u, v) + du * (at(u + 1.0, v) - at(u, v));
+            (between(v) + dv * (between(v + 1.0) - between(v))) / 255.0
+        };
+        let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+        (0..3).flat_map(|channel| pixels.clone().map(move |(x, y)| value(channel, x, y))).collect()
+    }
+
+    #[test]
+    fn an_image_is_straightened_as_pixel_by_pixel() {
+        let noise = |seed: u32| {
+            RgbImage::from_fn(80, 60, |x, y| {
+                image::Rgb([1, 2, 3].map(|c| (x.wrapping_mul(2_654_435_761) ^ y.wrapping_mul(40_503 * c + seed)) as u8))
+            })
+        };
+        for (k1, p1) in [(0.2, 0.0), (-0.2, 0.01), (0.0, 0.0)] {
+            let mut lens = lens([k1, 0.01, 0.0, -0.03, 0.0, 0.002], [p1, -p1]);
+            lens.find_crop().unwrap();
+            assert_eq!(lens.straighten(&noise(7)).data, slow_straighten(&lens, &noise(7)), "{k1} {p1}");
+            // Where the lens shows what is beyond the edges, too.
+            lens.crop = Crop::whole(lens.size());
+            assert_eq!(lens.straighten(&noise(9)).data, slow_straighten(&lens, &noise(9)), "{k1} {p1}");
+        }
+        // Without a second row or column.
+        let thin = Lens { width: 1, height: 1, crop: Crop::whole((1, 1)), ..lens([0.1; 6], [0.0; 2]) };
+        let dot = RgbImage::from_pixel(1, 1, image::Rgb([255, 51, 0]));
+        assert_eq!(thin.straighten(&dot).data, [1.0, 0.2, 0.0]);
     }
 
     /// The crop as it is defined: all four sides are counted at every step.
