@@ -40,7 +40,7 @@ fn basketball(criterion: &mut Criterion) {
         let parameters = Parameters::from_cloud(&cloud, views.len(), config.mask.initial_logit);
         let mut engine = CpuEngine::new(State::new(parameters));
         let target = Target::new(&views[0], true);
-        engine.begin(vec![target.clone()], None).expect("the CPU never fails");
+        engine.begin([target.clone()].into(), None).expect("the CPU never fails");
         let drawn = drawn(engine.state().expect("the CPU does not fail"), &config.mask, true);
         let settings = RenderSettings::default();
         let (output, saved) = CpuRasterizer.forward(&drawn, &target.camera, &settings).expect("the CPU never fails");

@@ -232,7 +232,7 @@ fn iterate(backend: &Backend, case: Case<'_>, counts: Counts) -> anyhow::Result<
         moves_gaussians: true,
     };
     let mut engine = backend.engine(state);
-    engine.begin(scene.targets.clone(), scenery.clone())?;
+    engine.begin(scene.targets.clone().into(), scenery.clone())?;
     for i in 0..counts.warm_up {
         engine.step(&step(i))?;
     }

@@ -13,6 +13,7 @@ mod scenery;
 pub use scenery::{Scenery, ViewScenery};
 
 use std::fmt::Debug;
+use std::sync::Arc;
 
 use tcgs_core::{Camera, Image, Sensitivity, View};
 use tcgs_render::StageTimes;
@@ -46,7 +47,7 @@ impl Target {
     }
 
     /// The targets of a timestep's views, with segmentation if all views have one.
-    pub(crate) fn of_all(views: &[View]) -> Vec<Self> {
+    pub(crate) fn of_all(views: &[View]) -> Arc<[Self]> {
         let with_segmentation = all_segmented(views);
         views.iter().map(|view| Self::new(view, with_segmentation)).collect()
     }
@@ -90,7 +91,10 @@ pub trait Engine: Send + Debug {
     ///
     /// - `scenery`: everything that is drawn around the state, if the state holds only the rows of a timestep; none if
     ///   it holds the whole scene
-    fn begin(&mut self, targets: Vec<Target>, scenery: Option<Scenery>) -> Result<(), TrainError>;
+    fn begin(&mut self, targets: Arc<[Target]>, scenery: Option<Scenery>) -> Result<(), TrainError>;
+
+    /// Forgets the images of a timestep, which take memory. No iteration follows before [`Self::begin`].
+    fn end(&mut self) {}
 
     /// Computes or submits one iteration: losses and gradients on one image, then one update of the parameters. May
     /// return before the iteration is computed.

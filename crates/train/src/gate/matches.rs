@@ -61,7 +61,7 @@ pub(super) struct Matches<'a> {
     /// `[views][N]`
     weights: &'a [Vec<f32>],
     /// `[views]`
-    sights: Vec<Sight>,
+    sights: Vec<Sight<'a>>,
 }
 
 impl<'a> Matches<'a> {
@@ -72,8 +72,8 @@ impl<'a> Matches<'a> {
         movers: &'a [Mover],
         weights: &'a [Vec<f32>],
         cameras: &[&Camera],
-        before: &[Image],
-        now: &[&Image],
+        before: &[&'a Image],
+        now: &[&'a Image],
     ) -> Self {
         let sights = (cameras, before, now).into_par_iter().map(|(camera, before, now)| Sight {
             pinhole: Pinhole::new(camera),
@@ -180,8 +180,8 @@ impl<'a> Matches<'a> {
                 let (mover, weight) = (&self.movers[i], self.weights[view][i]);
                 let point = sight.pinhole.camera_point(mover.mean);
                 let start = sight.pinhole.camera_point(std::array::from_fn(|a| mover.mean[a] + mover.velocity[a]));
-                let color = sight.before[level].at(sight.place(point)?, level)?;
-                let now = sight.now[level].at(sight.place(start)?, level)?;
+                let color = color_at(&sight.before[level], sight.place(point)?, level)?;
+                let now = color_at(&sight.now[level], sight.place(start)?, level)?;
                 (weight > 0.0).then(|| Sample { point, weight, color, at_start: difference(color, now) })
             };
             (sight, of.iter().filter_map(sample).collect())
@@ -191,13 +191,13 @@ impl<'a> Matches<'a> {
 }
 
 /// Images of a camera at both timesteps, at full resolution and at halves of it.
-struct Sight {
+struct Sight<'a> {
     pinhole: Pinhole<f32>,
-    before: Vec<Colors>,
-    now: Vec<Colors>,
+    before: Vec<Cow<'a, Image>>,
+    now: Vec<Cow<'a, Image>>,
 }
 
-impl Sight {
+impl Sight<'_> {
     /// Projects a point in camera space to pixels at full resolution; none if it is not before the camera.
     fn place(&self, [x, y, z]: [f32; 3]) -> Option<[f32; 2]> {
         let Pinhole { focal, principal, .. } = &self.pinhole;
@@ -205,51 +205,38 @@ impl Sight {
     }
 }
 
-/// The colours of an image, pixel by pixel.
-struct Colors {
-    width: usize,
-    height: usize,
-    pixels: Vec<[f32; 3]>,
-}
-
-fn pyramid(image: &Image) -> Vec<Colors> {
-    let mut levels = vec![Colors::of(image)];
-    let mut image = Cow::Borrowed(image);
-    while image.width.min(image.height) >= 2 * SMALLEST {
-        image = Cow::Owned(image.downscaled(2));
-        levels.push(Colors::of(&image));
+/// An image at full resolution and at halves of it; the halves have colours alone.
+fn pyramid(image: &Image) -> Vec<Cow<'_, Image>> {
+    let mut levels = vec![Cow::Borrowed(image)];
+    while let Some(last) = levels.last().filter(|last| last.width.min(last.height) >= 2 * SMALLEST) {
+        let data = last.data[..3 * last.num_pixels()].to_vec();
+        let colors = Image { width: last.width, height: last.height, num_channels: 3, data };
+        levels.push(Cow::Owned(colors.downscaled(2)));
     }
     levels
 }
 
-impl Colors {
-    fn of(image: &Image) -> Self {
-        let [red, green, blue] = [0, 1, 2].map(|channel| image.plane(channel));
-        let pixels = red.iter().zip(green).zip(blue).map(|((&red, &green), &blue)| [red, green, blue]).collect();
-        Self { width: image.width, height: image.height, pixels }
+/// The colour of an image at a position between pixels; none outside the image.
+///
+/// - `place`: pixels at full resolution
+/// - `level`: number of times that the image was halved
+fn color_at(image: &Image, place: [f32; 2], level: usize) -> Option<[f32; 3]> {
+    let (width, height) = (image.width, image.height);
+    let scale = 1.0 / (1 << level) as f32;
+    let [x, y] = place.map(|at| at * scale);
+    // NaN compares false.
+    let is_inside = x >= 0.0 && y >= 0.0 && x <= width as f32 && y <= height as f32;
+    if !is_inside || width.min(height) < 2 {
+        return None;
     }
-
-    /// The colour at a position between pixels; none outside the image.
-    ///
-    /// - `place`: pixels at full resolution
-    /// - `level`: number of times that the image was halved
-    fn at(&self, place: [f32; 2], level: usize) -> Option<[f32; 3]> {
-        let scale = 1.0 / (1 << level) as f32;
-        let [x, y] = place.map(|at| at * scale);
-        // NaN compares false.
-        let is_inside = x >= 0.0 && y >= 0.0 && x <= self.width as f32 && y <= self.height as f32;
-        if !is_inside || self.width.min(self.height) < 2 {
-            return None;
-        }
-        let (x, y) = ((x - 0.5).clamp(0.0, (self.width - 1) as f32), (y - 0.5).clamp(0.0, (self.height - 1) as f32));
-        let (column, row) = ((x as usize).min(self.width - 2), (y as usize).min(self.height - 2));
-        let (u, v) = (x - column as f32, y - row as f32);
-        let upper = &self.pixels[row * self.width + column..];
-        let lower = &upper[self.width..];
-        Some(std::array::from_fn(|c| {
-            (upper[0][c] * (1.0 - u) + upper[1][c] * u) * (1.0 - v) + (lower[0][c] * (1.0 - u) + lower[1][c] * u) * v
-        }))
-    }
+    let (x, y) = ((x - 0.5).clamp(0.0, (width - 1) as f32), (y - 0.5).clamp(0.0, (height - 1) as f32));
+    let (column, row) = ((x as usize).min(width - 2), (y as usize).min(height - 2));
+    let (u, v) = (x - column as f32, y - row as f32);
+    Some(std::array::from_fn(|channel| {
+        let upper = &image.plane(channel)[row * width + column..];
+        let lower = &upper[width..];
+        (upper[0] * (1.0 - u) + upper[1] * u) * (1.0 - v) + (lower[0] * (1.0 - u) + lower[1] * u) * v
+    }))
 }
 
 /// Gaussians near each other, with their common displacement.
@@ -268,7 +255,7 @@ struct Group {
 /// The samples of some Gaussians that are compared: for some views, those that each view shows.
 struct Comparison<'a> {
     level: usize,
-    views: Vec<(&'a Sight, Vec<Sample>)>,
+    views: Vec<(&'a Sight<'a>, Vec<Sample>)>,
 }
 
 struct Sample {
@@ -305,7 +292,7 @@ impl Comparison<'_> {
             let of_sample = |sample: &Sample| {
                 let Some(way) = way else { return Some(sample.at_start) };
                 let place = sight.place(std::array::from_fn(|a| sample.point[a] + way[a]))?;
-                Some(difference(sight.now[self.level].at(place, self.level)?, sample.color))
+                Some(difference(color_at(&sight.now[self.level], place, self.level)?, sample.color))
             };
             let (mut sum, mut weights) = (0.0, 0.0);
             for (difference, weight) in samples.iter().filter_map(|sample| Some((of_sample(sample)?, sample.weight))) {
@@ -452,7 +439,7 @@ mod tests {
             };
             let movers: Vec<Mover> = (0..1250).map(mover).collect();
             let weights = vec![vec![1.0; movers.len()]; cameras.len()];
-            let matches = Matches::new(&movers, &weights, &cameras.each_ref(), &before, &now.each_ref());
+            let matches = Matches::new(&movers, &weights, &cameras.each_ref(), &before.each_ref(), &now.each_ref());
             movers.iter().map(|mover| mover.mean).zip(matches.corrections()).collect::<Vec<_>>()
         };
         // A pixel is 0.018 wide.

@@ -20,6 +20,8 @@ mod evidence;
 mod matches;
 mod pace;
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 use tcgs_core::{Activated, Camera, Image, View, upper_median};
 use tcgs_render::{CpuRasterizer, Laps, RenderSettings, TileMask, tiles_reached};
@@ -74,8 +76,8 @@ pub struct GateRecord {
 /// The gate's memory of each view from one timestep to the next.
 #[derive(Clone, Debug)]
 struct Memory {
-    /// `[3, H, W]`, images of the previous timestep.
-    images: Vec<Image>,
+    /// The images of the previous timestep; none while a timestep is trained.
+    before: Arc<[Target]>,
     /// `[C, H, W]`, the scene as it is now, before the cameras' gain and offset.
     pictures: Vec<Image>,
 }
@@ -111,30 +113,31 @@ impl Gate {
     }
 
     /// Takes the images of the timestep from which a run resumes.
-    pub fn recall(&mut self, state: &State, views: &[View], with_segmentation: bool) {
-        if self.record.errors.len() == views.len() {
-            self.remember(state, views, with_segmentation);
+    pub fn recall(&mut self, state: &State, targets: Arc<[Target]>) {
+        if self.record.errors.len() == targets.len() {
+            self.remember(state, targets);
         }
     }
 
     /// Starts from the result of a timestep that trained everything.
-    pub fn begin(&mut self, state: &State, views: &[View], with_segmentation: bool) {
-        self.record = GateRecord { noise: vec![Vec::new(); views.len()], ..GateRecord::default() };
-        self.remember(state, views, with_segmentation);
-        let pictures = self.memory.iter().flat_map(|memory| &memory.pictures);
-        self.record.errors = pictures.zip(views).enumerate().map(|(i, (p, v))| errors(state, i, p, &v.image)).collect();
+    pub fn begin(&mut self, state: &State, targets: Arc<[Target]>) {
+        self.record = GateRecord { noise: vec![Vec::new(); targets.len()], ..GateRecord::default() };
+        self.remember(state, targets);
+        let views = self.memory.iter().flat_map(|memory| memory.pictures.iter().zip(&*memory.before));
+        self.record.errors = views.enumerate().map(|(i, (p, target))| errors(state, i, p, &target.image)).collect();
     }
 
-    fn remember(&mut self, state: &State, views: &[View], with_segmentation: bool) {
+    fn remember(&mut self, state: &State, before: Arc<[Target]>) {
+        let with_segmentation = before.iter().all(|target| target.image.num_channels > 3);
         let drawn = Drawn::new(state, &self.mask, with_segmentation);
-        let pictures = views.par_iter().map(|view| {
-            let (width, height) = (view.image.width, view.image.height);
+        let pictures = before.par_iter().map(|target| {
+            let (width, height) = (target.image.width, target.image.height);
             let mut picture = Image::filled(width, height, drawn.activated().num_channels, 0.0);
-            redraw(&drawn, view, &TileMask::all(width, height), &mut picture);
+            redraw(&drawn, &target.camera, &TileMask::all(width, height), &mut picture);
             picture
         });
-        let (pictures, images) = (pictures.collect(), views.iter().map(|view| view.image.clone()).collect());
-        self.memory = Some(Memory { images, pictures });
+        let pictures = pictures.collect();
+        self.memory = Some(Memory { before, pictures });
     }
 
     /// Finds what a timestep must train.
@@ -142,20 +145,19 @@ impl Gate {
     /// - `state`: after the previous timestep, with its past
     /// - returns: `None` if the gate does not know the previous images; everything then counts as changed
     pub fn look(&mut self, state: &State, targets: &[Target]) -> Option<Activity> {
-        let memory = self.memory.as_ref().filter(|memory| memory.images.len() == targets.len())?;
-        let fits = |(image, target): (&Image, &Target)| {
-            [image.width, image.height] == [target.image.width, target.image.height]
-        };
-        if !memory.images.iter().zip(targets).all(fits) {
+        let memory = self.memory.as_mut().filter(|memory| memory.before.len() == targets.len())?;
+        let all_before = std::mem::take(&mut memory.before);
+        let size = |target: &Target| [target.image.width, target.image.height];
+        if !all_before.iter().zip(targets).all(|(before, target)| size(before) == size(target)) {
             return None;
         }
         let config = &self.config;
         let evidence: Vec<Evidence> =
-            (&mut self.record.noise, &self.record.errors, &memory.images, &memory.pictures, targets)
+            (&mut self.record.noise, &self.record.errors, &*all_before, &memory.pictures, targets)
                 .into_par_iter()
                 .enumerate()
                 .map(|(i, (estimates, reference, before, picture, target))| {
-                    let differences = differences(before, &target.image);
+                    let differences = differences(&before.image, &target.image);
                     estimates.push(noise_level(&differences));
                     let too_many = estimates.len().saturating_sub(NOISE_ESTIMATES);
                     estimates.drain(..too_many);
@@ -175,7 +177,7 @@ impl Gate {
                 .collect();
         let mut activity = Activity::new(state, &self.mask, targets, evidence, &memory.pictures, config);
         if config.matches {
-            activity.corrections = corrections(state, &activity, &memory.images, targets);
+            activity.corrections = corrections(state, &activity, &all_before, targets);
         }
         Some(activity)
     }
@@ -222,7 +224,7 @@ impl Gate {
         (&mut memory.pictures, views).into_par_iter().for_each(|(picture, view)| {
             let mut tiles = tiles_reached(before, &view.camera);
             tiles.union(&tiles_reached(&after, &view.camera));
-            redraw(&all, view, &tiles, picture);
+            redraw(&all, &view.camera, &tiles, picture);
         });
     }
 
@@ -254,12 +256,13 @@ impl Gate {
     /// Updates images and reference errors after a timestep that trained an activity.
     ///
     /// - `state`: after the timestep; [`Self::redraw`] has drawn its pictures
-    pub fn end(&mut self, state: &State, views: &[View], activity: &Activity) {
+    pub fn end(&mut self, state: &State, targets: Arc<[Target]>, activity: &Activity) {
         let Some(memory) = &mut self.memory else { return };
-        memory.images = views.iter().map(|view| view.image.clone()).collect();
-        let of_views = (&mut self.record.errors, &memory.pictures, views, &activity.tiles).into_par_iter().enumerate();
-        of_views.filter(|(_, (.., tiles))| !tiles.is_empty()).for_each(|(i, (reference, picture, view, tiles))| {
-            let errors = errors(state, i, picture, &view.image);
+        memory.before = targets;
+        let of_views =
+            (&mut self.record.errors, &memory.pictures, &*memory.before, &activity.tiles).into_par_iter().enumerate();
+        of_views.filter(|(_, (.., tiles))| !tiles.is_empty()).for_each(|(i, (reference, picture, target, tiles))| {
+            let errors = errors(state, i, picture, &target.image);
             for tile in tiles.iter() {
                 let grown = errors[tile] - reference[tile];
                 reference[tile] += if grown > 0.0 { PATIENCE * grown } else { grown };
@@ -271,9 +274,9 @@ impl Gate {
 /// Corrections to the start of active Gaussians at constant velocity, from matches between the images of two timesteps.
 ///
 /// - `state`: after the previous timestep, with its past
-/// - `before`: `[cameras]` images of the previous timestep
+/// - `before`: `[cameras]`, of the previous timestep
 /// - returns: `[active, 3]`, scene units
-fn corrections(state: &State, activity: &Activity, before: &[Image], targets: &[Target]) -> Vec<[f32; 3]> {
+fn corrections(state: &State, activity: &Activity, before: &[Target], targets: &[Target]) -> Vec<[f32; 3]> {
     let Some(past) = &state.past else { return Vec::new() };
     let (means, earlier) = (state.parameters.gaussians.means(), past.previous.means());
     let mover = |&i: &usize| Mover {
@@ -283,9 +286,9 @@ fn corrections(state: &State, activity: &Activity, before: &[Image], targets: &[
     };
     let movers: Vec<Mover> = activity.active.iter().map(mover).collect();
     let cameras: Vec<&Camera> = targets.iter().map(|target| &target.camera).collect();
-    let now: Vec<&Image> = targets.iter().map(|target| &target.image).collect();
+    let [before, now] = [before, targets].map(|all| all.iter().map(|target| &target.image).collect::<Vec<_>>());
     let births = state.lifetimes.births();
-    let mut corrections = Matches::new(&movers, &activity.weights, &cameras, before, &now).corrections();
+    let mut corrections = Matches::new(&movers, &activity.weights, &cameras, &before, &now).corrections();
     for (correction, &i) in corrections.iter_mut().zip(&activity.active) {
         let birth = births[i];
         if birth > 0 && (state.timestep as u32) < birth + ENTRY {
@@ -301,10 +304,10 @@ fn errors(state: &State, camera: usize, picture: &Image, target: &Image) -> Vec<
     tile_errors(picture, target, p.camera_gains[camera], p.camera_offsets[camera])
 }
 
-fn redraw(drawn: &Drawn, view: &View, tiles: &TileMask, picture: &mut Image) {
+fn redraw(drawn: &Drawn, camera: &Camera, tiles: &TileMask, picture: &mut Image) {
     if !tiles.is_empty() {
-        let drawn = drawn.seen_by(&view.camera);
+        let drawn = drawn.seen_by(camera);
         let (settings, laps) = (RenderSettings::default(), &mut Laps::begin());
-        CpuRasterizer.forward_in(&drawn, &view.camera, &settings, tiles, picture, laps);
+        CpuRasterizer.forward_in(&drawn, camera, &settings, tiles, picture, laps);
     }
 }

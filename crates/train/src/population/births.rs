@@ -108,7 +108,7 @@ impl Births {
         // Gradients count in the last half of the iterations, for the division after them.
         let length = solver.schedule.iterations(Phase::Birth);
         let asks = |iteration| Asked { counts_gradients: self.divides() && 2 * iteration >= length, ..Asked::NOTHING };
-        *born = nursery.train(solver, Phase::Birth, born.clone(), None, views, asks)?;
+        *born = nursery.train(solver, Phase::Birth, born.clone(), None, asks)?;
         let mask_threshold = self.config.mask.enabled.then_some(self.config.mask.threshold);
         let keep = viable(&born.parameters, spacings, mask_threshold);
         remove_others(born, &keep);

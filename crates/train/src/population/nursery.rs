@@ -2,13 +2,14 @@
 //! reach, with the rest of the scene held.
 
 use std::ops::ControlFlow;
+use std::sync::Arc;
 
 use tcgs_core::{Camera, View};
 use tcgs_render::{TileMask, tiles_reached};
 
 use crate::TrainError;
+use crate::engine::Scenery;
 use crate::engine::cpu::Drawn;
-use crate::engine::{Scenery, Target};
 use crate::gate::{Blocks, Gate, Pace, Shares, scenery_of, tiles_of};
 use crate::parameters::Parameters;
 use crate::schedule::Phase;
@@ -54,14 +55,14 @@ impl Nursery {
         phase: Phase,
         small: State,
         rows: Option<&[usize]>,
-        views: &[View],
         asks: impl Fn(usize) -> Asked,
     ) -> Result<State, TrainError> {
         let shares = Shares::of(&small.parameters.foreground, &solver.engine.state()?.parameters.foreground);
         let whole = std::mem::replace(solver.engine.state_mut()?, small);
         let part = Part { shares, of: rows.map(|rows| (&whole.parameters, rows)) };
-        solver.engine.begin(Target::of_all(views), Some(self.scenery))?;
-        let length = (solver.schedule.iterations(phase) * self.cameras.len()).div_ceil(views.len());
+        let num_views = solver.targets.len();
+        solver.engine.begin(Arc::clone(&solver.targets), Some(self.scenery))?;
+        let length = (solver.schedule.iterations(phase) * self.cameras.len()).div_ceil(num_views);
         let pace = Pace::even(length, self.cameras.len());
         let mut iterations = solver.iterations(phase, self.cameras, pace, Some(part));
         let ignore = &mut |_: &_| ControlFlow::Continue(());

@@ -38,7 +38,7 @@ pub(super) fn raise_young(
     let all = gate.drawn(state);
     let before = all.activated().select(&young);
     let nursery = Nursery::new(gate, &all, &young, views, None);
-    let raised = nursery.train(solver, Phase::Youth, small, Some(&young), views, |_| Asked::NOTHING)?;
+    let raised = nursery.train(solver, Phase::Youth, small, Some(&young), |_| Asked::NOTHING)?;
     solver.engine.state_mut()?.parameters.put(&young, &raised.parameters);
     gate.redraw_rows(solver.engine.state()?, views, &young, &before);
     Ok(())

@@ -15,7 +15,7 @@ pub(crate) use self::glimpse::Part;
 pub use self::glimpse::{Glimpse, Glimpsed};
 use crate::TrainError;
 use crate::config::TrainConfig;
-use crate::engine::{Engine, Step};
+use crate::engine::{Engine, Step, Target};
 use crate::gate::{Pace, Trained};
 use crate::losses::{LossTerms, WeightConfig};
 use crate::parameters::{DIFFERENT, spread_of_cameras};
@@ -57,6 +57,8 @@ pub(crate) struct Solver {
     pub config: TrainConfig,
     pub schedule: Schedule,
     pub engine: Box<dyn Engine>,
+    /// The images of the timestep that is trained; else none.
+    pub targets: Arc<[Target]>,
     /// Timesteps finished.
     pub timestep: usize,
     /// The trained share of the scene and of its views.
@@ -121,6 +123,7 @@ impl Solver {
             config,
             schedule,
             engine,
+            targets: Arc::default(),
             timestep,
             trained: Trained::ALL,
             num_gaussians,

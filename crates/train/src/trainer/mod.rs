@@ -13,7 +13,7 @@ use crate::TrainError;
 use crate::checkpoint::Checkpoint;
 use crate::config::TrainConfig;
 use crate::engine::cpu::CpuEngine;
-use crate::engine::{Engine, all_segmented};
+use crate::engine::{Engine, Target};
 use crate::gate::{Gate, GateRecord, Trained};
 use crate::motion::{Past, Pose};
 use crate::parameters::{Parameters, extent};
@@ -292,7 +292,7 @@ impl Trainer {
     /// [`TrainError::Gpu`] if the engine failed.
     pub fn recall(&mut self, views: &[View]) -> Result<(), TrainError> {
         if let Some(gate) = &mut self.gate {
-            gate.recall(self.solver.engine.state()?, views, all_segmented(views));
+            gate.recall(self.solver.engine.state()?, Target::of_all(views));
         }
         Ok(())
     }

@@ -1,13 +1,14 @@
 //! One timestep: what it trains, where its Gaussians start, its iterations, and the start of quantisation.
 
 use std::ops::ControlFlow;
+use std::sync::Arc;
 
 use tcgs_codec::assign_bits;
 use tcgs_core::{Camera, View};
 
 use super::Trainer;
 use crate::TrainError;
-use crate::engine::{Target, all_segmented};
+use crate::engine::Target;
 use crate::fake_quant::{FakeQuantizers, bit_settings};
 use crate::gate::{Activity, Pace, Trained};
 use crate::motion::predict;
@@ -47,14 +48,14 @@ impl Trainer {
         self.check_finished()?;
         self.is_unfinished = true;
         self.camera_ids = views.iter().map(|v| v.camera_id).collect();
-        let targets = Target::of_all(views);
+        self.solver.targets = Target::of_all(views);
         let phase = self.phase();
         let mut activity = None;
         if phase == Phase::Rest {
             self.solver.engine.state_mut()?.begin_past();
             if let Some(gate) = &mut self.gate {
                 let state = self.solver.engine.state()?;
-                activity = gate.look(state, &targets);
+                activity = gate.look(state, &self.solver.targets);
                 self.population.begin_timestep(state, activity.as_ref());
             }
             self.begin_timestep(activity.as_ref())?;
@@ -62,9 +63,9 @@ impl Trainer {
         let num_gaussians = self.solver.num_gaussians();
         self.solver.trained = activity.as_ref().map_or(Trained::ALL, |a| a.trained(num_gaussians));
         match &mut activity {
-            Some(activity) => self.fit_activity(targets, activity, observe)?,
+            Some(activity) => self.fit_activity(activity, observe)?,
             None => {
-                self.solver.engine.begin(targets, None)?;
+                self.solver.engine.begin(Arc::clone(&self.solver.targets), None)?;
                 let pace = Pace::even(self.solver.schedule.iterations(phase), views.len());
                 let iterations = self.solver.iterations(phase, (0..views.len()).collect(), pace, None);
                 self.iterate(phase, iterations, views, observe)?;
@@ -75,24 +76,22 @@ impl Trainer {
                 Some(activity) => {
                     gate.redraw(self.solver.engine.state()?, views, activity);
                     self.population.end_timestep(&mut self.solver, gate, views, activity)?;
-                    gate.end(self.solver.engine.state()?, views, activity);
+                    gate.end(self.solver.engine.state()?, Arc::clone(&self.solver.targets), activity);
                 }
-                None => gate.begin(self.solver.engine.state()?, views, all_segmented(views)),
+                None => gate.begin(self.solver.engine.state()?, Arc::clone(&self.solver.targets)),
             }
         }
+        self.solver.engine.end();
+        self.solver.targets = Arc::default();
         self.solver.timestep += 1;
         self.is_unfinished = false;
         Ok(())
     }
 
     /// Trains the active part of a timestep, and leaves the whole state in the engine.
-    fn fit_activity(
-        &mut self,
-        targets: Vec<Target>,
-        activity: &mut Activity,
-        observe: Observer<'_>,
-    ) -> Result<(), TrainError> {
+    fn fit_activity(&mut self, activity: &mut Activity, observe: Observer<'_>) -> Result<(), TrainError> {
         let Some(scenery) = activity.scenery.take() else { return Ok(()) };
+        let targets = Arc::clone(&self.solver.targets);
         let num_views = targets.len();
         let state = self.solver.engine.state_mut()?;
         let shares = activity.shares(state);

@@ -175,7 +175,7 @@ fn an_iteration_with_a_clock_is_an_iteration() {
         moves_gaussians: true,
     };
     let run = |mut engine: Made, is_timed: fn(usize) -> bool| {
-        engine.begin(targets.clone(), None).unwrap();
+        engine.begin(targets.clone().into(), None).unwrap();
         for i in 0..6 {
             if is_timed(i) {
                 let times = engine.profile(&step(i)).unwrap();

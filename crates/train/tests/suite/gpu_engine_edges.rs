@@ -19,7 +19,7 @@ fn run(
     config: &TrainConfig,
     phase: Phase,
 ) -> Result<Vec<LossTerms>, TrainError> {
-    engine.begin(targets.to_vec(), None)?;
+    engine.begin(targets.to_vec().into(), None)?;
     let schedule = Schedule::new(config, 2.0);
     for (iteration, &camera) in cameras.iter().enumerate() {
         let rates = schedule.rates(phase, iteration);
@@ -170,7 +170,7 @@ fn a_lost_gpu_is_an_error() {
         }
         let schedule = Schedule::new(&config, 2.0);
         let mut steps = || {
-            engine.begin(targets.to_vec(), None)?;
+            engine.begin(targets.to_vec().into(), None)?;
             for i in 0..200 {
                 if i == 70 && when == "in flight" {
                     gpu.device().destroy();
@@ -184,7 +184,7 @@ fn a_lost_gpu_is_an_error() {
         eprintln!("{when}: {error}");
         assert!(matches!(error, TrainError::Gpu(GpuError::Lost(_))), "{error:?}");
         // Every later call fails as well.
-        for error in [engine.wait().err(), engine.state().err(), engine.begin(targets.to_vec(), None).err()]
+        for error in [engine.wait().err(), engine.state().err(), engine.begin(targets.to_vec().into(), None).err()]
             .into_iter()
             .flatten()
         {

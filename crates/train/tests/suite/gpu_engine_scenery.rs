@@ -29,7 +29,7 @@ fn run(
     cameras: &[usize],
     config: &TrainConfig,
 ) -> Vec<LossTerms> {
-    engine.begin(targets.to_vec(), scenery).unwrap();
+    engine.begin(targets.into(), scenery).unwrap();
     cameras.iter().for_each(|&camera| engine.step(&step(camera, config)).unwrap());
     engine.wait().unwrap();
     engine.losses().unwrap()
@@ -97,7 +97,7 @@ fn a_part_has_the_gradients_of_the_whole_to_the_bit() {
         for camera in 0..3 {
             let (mut a, mut b) = (GpuEngine::new(&gpu, whole.clone()), GpuEngine::new(&gpu, part.clone()));
             for (engine, scenery) in [(&mut a, None), (&mut b, Some(scenery.clone()))] {
-                engine.begin(targets.clone(), scenery).unwrap();
+                engine.begin(targets.clone().into(), scenery).unwrap();
                 engine.step(&Step { rates, ..step(camera, &config) }).unwrap();
             }
             let (expected, found) = (a.state().unwrap(), b.state().unwrap());

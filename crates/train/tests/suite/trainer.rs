@@ -1,7 +1,7 @@
 //! Whole trainings of a tiny synthetic capture.
 
 use std::ops::ControlFlow;
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
 use tcgs_core::{Camera, Image, Sensitivity, View};
@@ -189,7 +189,7 @@ impl Engine for Late {
         "late".into()
     }
 
-    fn begin(&mut self, targets: Vec<Target>, scenery: Option<Scenery>) -> Result<(), TrainError> {
+    fn begin(&mut self, targets: Arc<[Target]>, scenery: Option<Scenery>) -> Result<(), TrainError> {
         self.cpu.begin(targets, scenery)
     }
 

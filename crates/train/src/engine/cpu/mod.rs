@@ -154,7 +154,7 @@ fn chain(state: &State, mask_config: &MaskConfig, with_segmentation: bool, camer
 #[derive(Clone, Debug)]
 pub struct CpuEngine {
     state: State,
-    targets: Vec<Target>,
+    targets: Arc<[Target]>,
     /// Losses on motion, after the first timestep.
     prior: Option<MotionPrior<f32>>,
     /// The scenery, if the state holds only a part of the scene.
@@ -168,7 +168,14 @@ pub struct CpuEngine {
 impl CpuEngine {
     /// An engine that continues from `state`.
     pub fn new(state: State) -> Self {
-        Self { state, targets: Vec::new(), prior: None, staged: None, v_image: Image::default(), losses: Vec::new() }
+        Self {
+            state,
+            targets: Arc::default(),
+            prior: None,
+            staged: None,
+            v_image: Image::default(),
+            losses: Vec::new(),
+        }
     }
 
     /// Computes the losses and gradients on one image, without updating the parameters; adds to the densification
@@ -319,7 +326,8 @@ impl Engine for CpuEngine {
         format!("the CPU, {} threads", rayon::current_num_threads())
     }
 
-    fn begin(&mut self, targets: Vec<Target>, scenery: Option<Scenery>) -> Result<(), TrainError> {
+    fn begin(&mut self, targets: Arc<[Target]>, scenery: Option<Scenery>) -> Result<(), TrainError> {
+        self.end();
         self.targets = targets;
         self.staged = scenery.map(|scenery| Staged { num_active: scenery.num_active, views: Stage::all(scenery) });
         let foreground = &self.state.parameters.foreground;
@@ -332,6 +340,11 @@ impl Engine for CpuEngine {
                     .with_stillness(&past.stillness, means, quats)
             });
         Ok(())
+    }
+
+    fn end(&mut self) {
+        self.targets = Arc::default();
+        self.staged = None;
     }
 
     fn step(&mut self, step: &Step<'_>) -> Result<(), TrainError> {

@@ -25,6 +25,7 @@ mod targets;
 #[cfg(test)]
 mod test_support;
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use tcgs_core::{Camera, Image, Sensitivity};
@@ -268,7 +269,7 @@ impl Engine for GpuEngine {
         self.gpu.info().name.clone()
     }
 
-    fn begin(&mut self, targets: Vec<Target>, scenery: Option<Scenery>) -> Result<(), TrainError> {
+    fn begin(&mut self, targets: Arc<[Target]>, scenery: Option<Scenery>) -> Result<(), TrainError> {
         self.wait()?;
         let before = self.targets.take();
         let old = before.as_ref().map(Targets::shape).filter(|_| self.parts.is_none());
