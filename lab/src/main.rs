@@ -5,6 +5,7 @@
 //! cargo build --release                                          # the program, which runs every step
 //! cargo run --release -p tcgs-lab -- ablation --data CAPTURES --out OUT
 //! cargo run --release -p tcgs-lab -- captures --data CAPTURES --out OUT --short
+//! cargo run --release -p tcgs-lab -- sizes --out OUT
 //! ```
 
 mod captures;

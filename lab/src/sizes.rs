@@ -10,17 +10,18 @@ use serde_json::Value;
 use tcgs_capture::{SyntheticSettings, write_synthetic};
 use tcgs_report::plot::{self, Axes, Line};
 
+use crate::error::wrong_input;
 use crate::program::{Program, run_measured};
 
 /// Measure time and memory of a training by the size of its images
 ///
-/// Renders the scene of `tcgs demo` at each size, trains it, and writes OUT/sizes.txt and OUT/sizes.svg. What has been
-/// trained is not trained again.
+/// Renders the scene of `tcgs demo` at each size, trains it, and writes OUT/sizes.txt and OUT/sizes.svg. A size that OUT
+/// holds is not trained again; its options must be the same.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:
   cargo run --release -p tcgs-lab -- sizes --out out
-  cargo run --release -p tcgs-lab -- sizes --out out --size 1352x1014 --timesteps 20")]
+  cargo run --release -p tcgs-lab -- sizes --out long --size 1352x1014 --timesteps 20")]
 pub struct Arguments {
     /// Folder for captures, runs and the table
     #[arg(long, value_name = "OUT")]
@@ -28,12 +29,13 @@ pub struct Arguments {
     /// Size of the images, pixels; may be repeated
     #[arg(long, value_name = "WxH", default_values = ["338x254", "676x508", "1352x1014", "1920x1080"])]
     size: Vec<Size>,
-    /// Training cameras
+    /// Training cameras, at least 4
     #[arg(long, value_name = "N", default_value = "20")]
     cameras: usize,
+    /// Timesteps, at least 2
     #[arg(long, value_name = "T", default_value = "4")]
     timesteps: usize,
-    /// Initial points for each pixel of an image [default: 300,000 points at 1352x1014]
+    /// Initial points for each pixel of an image: 300,000 points at 1352x1014
     #[arg(long, value_name = "SHARE", default_value = "0.2188")]
     density: f64,
     /// Iterations of the first and of every later timestep
@@ -77,9 +79,15 @@ struct Row {
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let Arguments { cameras, timesteps, .. } = arguments;
+    if *cameras < 4 || *timesteps < 2 {
+        return Err(wrong_input(format!("{cameras} cameras and {timesteps} timesteps, expected at least 4 and 2")));
+    }
     let program = Program::find(arguments.program.clone())?;
+    let mut sizes = arguments.size.clone();
+    sizes.sort_by_key(|&Size(width, height)| width * height);
     let mut rows = Vec::new();
-    for &size in &arguments.size {
+    for size in sizes {
         rows.push(measured(arguments, &program, size)?);
         fs::write(arguments.out.join("sizes.txt"), text(&rows)).context("sizes.txt")?;
         fs::write(arguments.out.join("sizes.svg"), plot(&rows)).context("sizes.svg")?;
@@ -93,8 +101,21 @@ fn measured(arguments: &Arguments, program: &Program, size: Size) -> anyhow::Res
     let Size(width, height) = size;
     let folder = arguments.out.join(format!("{width}x{height}"));
     let [capture, trained, memory_file] = ["capture", "run", "memory.txt"].map(|name| folder.join(name));
+    let Arguments { cameras, timesteps, density, iterations, .. } = arguments;
+    let options = format!("--cameras {cameras} --timesteps {timesteps} --density {density} --iterations {iterations}");
+    let options_file = folder.join("options.txt");
+    if !options_file.is_file() {
+        fs::create_dir_all(&folder)?;
+        fs::write(&options_file, &options)?;
+    }
+    let found = fs::read_to_string(&options_file)?;
+    if found != options {
+        let problem = format!("{}: made with {found}", folder.display());
+        return Err(wrong_input(format!("{problem}, expected {options}, or another --out")));
+    }
     if !memory_file.is_file() {
-        if !capture.join("test_meta.json").is_file() {
+        let rendered = folder.join("rendered");
+        if !rendered.is_file() {
             let settings = SyntheticSettings {
                 width,
                 height,
@@ -104,6 +125,7 @@ fn measured(arguments: &Arguments, program: &Program, size: Size) -> anyhow::Res
                 ..SyntheticSettings::default()
             };
             write_synthetic(&capture, &settings)?;
+            fs::write(&rendered, "")?;
         }
         let mut train = Command::new(&program.path);
         train.arg("train").arg(&capture).arg("--out").arg(&trained);

@@ -221,7 +221,7 @@ impl Lens {
     }
 }
 
-/// An image between its pixels.
+/// The bytes of an image, for colours between its pixels.
 struct Bilinear<'a> {
     width: usize,
     height: usize,
@@ -240,7 +240,7 @@ impl<'a> Bilinear<'a> {
     fn interpolated(&self, x: f64, y: f64) -> [f32; 3] {
         let (last_x, last_y) = (self.width - 1, self.height - 1);
         let (x, y) = (x.clamp(0.0, last_x as f64), y.clamp(0.0, last_y as f64));
-        // Nothing is negative here.
+        // By way of u32, which takes fewer instructions than usize. Both are from 0 to the last pixel; NaN becomes 0.
         let (x0, y0) = (x as u32 as usize, y as u32 as usize);
         let (fx, fy) = ((x - x0 as f64) as f32, (y - y0 as f64) as f32);
         let (right, below) = (3 * usize::from(x0 < last_x), 3 * self.width * usize::from(y0 < last_y));
@@ -303,7 +303,7 @@ mod tests {
         }
     }
 
-    /// One pixel after another.
+    /// [`Lens::straighten`] as it is defined, a value at a time.
     fn slow_straighten(lens: &Lens, image: &RgbImage) -> Vec<f32> {
         let (last_x, last_y) = (f64::from(image.width() - 1), f64::from(image.height() - 1));
         let Crop { left, top, width, height } = lens.crop;
@@ -335,9 +335,11 @@ mod tests {
             assert_eq!(lens.straighten(&noise(9)).data, slow_straighten(&lens, &noise(9)), "{k1} {p1}");
         }
         // Without a second row or column.
-        let thin = Lens { width: 1, height: 1, crop: Crop::whole((1, 1)), ..lens([0.1; 6], [0.0; 2]) };
-        let dot = RgbImage::from_pixel(1, 1, image::Rgb([255, 51, 0]));
-        assert_eq!(thin.straighten(&dot).data, [1.0, 0.2, 0.0]);
+        for (width, height) in [(1, 1), (1, 5), (5, 1)] {
+            let thin = Lens { width, height, crop: Crop::whole((width, height)), ..lens([0.1; 6], [0.0; 2]) };
+            let thin_noise = image::imageops::crop_imm(&noise(7), 0, 0, width as u32, height as u32).to_image();
+            assert_eq!(thin.straighten(&thin_noise).data, slow_straighten(&thin, &thin_noise), "{width}x{height}");
+        }
     }
 
     /// The crop as it is defined: all four sides are counted at every step.

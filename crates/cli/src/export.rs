@@ -228,6 +228,9 @@ fn write_page(arguments: &Arguments) -> anyhow::Result<()> {
         let problem = format!("--frames {}..{} of a page", frames.0.start, frames.0.end);
         return Err(wrong_input(format!("{problem}, expected none: a page holds all of a scene")));
     }
+    if arguments.spz_version.is_some() {
+        return Err(not_spz());
+    }
     check_scene(scene)?;
     if PAGE.is_empty() {
         return Err(anyhow!(NO_PAGE));
@@ -246,12 +249,15 @@ fn target(arguments: &Arguments) -> anyhow::Result<Target> {
         let (Target::Timestep(kind @ TimestepKind::Spz(_)) | Target::Folder(kind @ TimestepKind::Spz(_), _)) =
             &mut target
         else {
-            let problem = "--spz-version of a file that is no SPZ";
-            return Err(wrong_input(format!("{problem}, expected --to NAME.spz, or --files spz and a folder")));
+            return Err(not_spz());
         };
         *kind = TimestepKind::Spz(version.into());
     }
     Ok(target)
+}
+
+fn not_spz() -> anyhow::Error {
+    wrong_input("--spz-version of a file that is no SPZ, expected --to NAME.spz, or --files spz and a folder")
 }
 
 fn target_by_ending(arguments: &Arguments) -> anyhow::Result<Target> {

@@ -87,11 +87,14 @@ fn a_scene_becomes_files_of_every_kind_and_is_read_again() {
     });
     assert!(v3.0.starts_with(&[0x1F, 0x8B]) && v4.0.starts_with(b"NGSP\x04"));
     assert_eq!(v3.1.read(0..3).unwrap(), v4.1.read(0..3).unwrap());
-    let message = fail(2, &["export", text(&path("source")), "--to", text(&path("plys")), "--spz-version", "4"]);
-    assert!(
-        message.contains("--spz-version of a file that is no SPZ, expected --to NAME.spz, or --files spz"),
-        "{message}"
-    );
+    let one = path("one4.spz");
+    succeed(&["export", text(&path("source")), "--to", text(&one), "--frames", "0..1", "--spz-version", "4"]);
+    assert_eq!(fs::read(&one).unwrap(), v4.0);
+    for other in ["plys", "a.glb", "page.html"] {
+        let message = fail(2, &["export", text(&path("source")), "--to", text(&path(other)), "--spz-version", "4"]);
+        let expected = "--spz-version of a file that is no SPZ, expected --to NAME.spz, or --files spz and a folder";
+        assert!(message.contains(expected), "{message}");
+    }
     let message = fail(2, &["export", text(&path("source")), "--to", text(&path("a.splat"))]);
     assert!(message.contains("NAME.compressed.ply, NAME.spz, NAME.glb, NAME.sog, NAME/meta.json"), "{message}");
 }

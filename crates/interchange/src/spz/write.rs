@@ -24,7 +24,7 @@ const MAX_POSITION: f64 = ((1 << 23) - 1) as f64;
 /// Versions of SPZ that [`write_spz_to`] writes. They hold the same numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SpzVersion {
-    /// Packed by gzip. More programs read it, and files are a quarter smaller than of version 4.
+    /// Packed by gzip. More programs read this version, and its files are a quarter smaller than those of version 4.
     #[default]
     V3,
     /// Each attribute packed by Zstandard.
@@ -40,8 +40,8 @@ pub enum SpzVersion {
 ///
 /// - `writer`: should be buffered
 /// - `gaussians`: `[N]`, stored form, in the axes of PLY files
-/// - `axes`: of the file. The format's README says [`Axes::RUB`]. Programs that ignore the extension, such as
-///   splat-transform 3, take the file for [`Axes::RDF`]
+/// - `axes`: of the file. The format's README says [`Axes::RUB`]. Programs that ignore the extension take the file for
+///   [`Axes::RDF`]: splat-transform 3, and Niantic's own in version 3
 /// - `version`: of the format
 ///
 /// ```

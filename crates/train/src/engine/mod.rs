@@ -80,7 +80,7 @@ pub struct Step<'a> {
 /// iterations.
 ///
 /// # Errors
-/// Every call may fail with [`TrainError::Gpu`], also because of an iteration that an earlier call submitted. The
+/// Every call that returns a result may fail with [`TrainError::Gpu`], also because of an iteration that an earlier call submitted. The
 /// engine must not be used after an error. The CPU engine never fails.
 pub trait Engine: Send + Debug {
     /// Name of the device, for messages: `the CPU, 2 threads`.
@@ -93,8 +93,9 @@ pub trait Engine: Send + Debug {
     ///   it holds the whole scene
     fn begin(&mut self, targets: Arc<[Target]>, scenery: Option<Scenery>) -> Result<(), TrainError>;
 
-    /// Forgets the images of a timestep, which take memory. No iteration follows before [`Self::begin`].
-    fn end(&mut self) {}
+    /// Ends a timestep, or a part of one. The engine may free its images and scenery: no iteration follows before
+    /// [`Self::begin`].
+    fn end(&mut self);
 
     /// Computes or submits one iteration: losses and gradients on one image, then one update of the parameters. May
     /// return before the iteration is computed.

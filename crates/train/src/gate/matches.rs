@@ -410,7 +410,7 @@ mod tests {
 
     fn image(camera: &Camera, board: [f32; 2]) -> Image {
         let pinhole = Pinhole::<f32>::new(camera);
-        let mut image = Image::filled(camera.width, camera.height, 3, 0.0);
+        let mut image = Image::filled(camera.width, camera.height, 5, 0.0);
         for pixel in 0..image.num_pixels() {
             let ray = pinhole.ray(pinhole.pixel_center(pixel));
             let depth = -pinhole.center[2] / ray[2];

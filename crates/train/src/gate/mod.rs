@@ -140,17 +140,15 @@ impl Gate {
         self.memory = Some(Memory { before, pictures });
     }
 
-    /// Finds what a timestep must train.
+    /// Finds what a timestep must train, and lets go of the images of the previous timestep. Called once a timestep.
     ///
     /// - `state`: after the previous timestep, with its past
     /// - returns: `None` if the gate does not know the previous images; everything then counts as changed
     pub fn look(&mut self, state: &State, targets: &[Target]) -> Option<Activity> {
-        let memory = self.memory.as_mut().filter(|memory| memory.before.len() == targets.len())?;
-        let all_before = std::mem::take(&mut memory.before);
         let size = |target: &Target| [target.image.width, target.image.height];
-        if !all_before.iter().zip(targets).all(|(before, target)| size(before) == size(target)) {
-            return None;
-        }
+        let fits = |memory: &&mut Memory| memory.before.iter().map(size).eq(targets.iter().map(size));
+        let memory = self.memory.as_mut().filter(fits)?;
+        let all_before = std::mem::take(&mut memory.before);
         let config = &self.config;
         let evidence: Vec<Evidence> =
             (&mut self.record.noise, &self.record.errors, &*all_before, &memory.pictures, targets)
@@ -253,7 +251,7 @@ impl Gate {
         views.par_iter().enumerate().map(of_view).collect()
     }
 
-    /// Updates images and reference errors after a timestep that trained an activity.
+    /// Takes the images and updates the reference errors after a timestep that trained an activity.
     ///
     /// - `state`: after the timestep; [`Self::redraw`] has drawn its pictures
     pub fn end(&mut self, state: &State, targets: Arc<[Target]>, activity: &Activity) {

@@ -70,7 +70,9 @@ impl Nursery {
             solver.step(&mut iterations, iteration, asks(iteration), ignore)?;
         }
         solver.finish(iterations, ignore)?;
-        Ok(std::mem::replace(solver.engine.state_mut()?, whole))
+        let trained = std::mem::replace(solver.engine.state_mut()?, whole);
+        solver.engine.end();
+        Ok(trained)
     }
 }
 

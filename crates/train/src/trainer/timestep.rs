@@ -106,6 +106,7 @@ impl Trainer {
         self.iterate(Phase::Rest, iterations, &[], observe)?;
         activity.put_back(self.solver.engine.state()?, &mut whole);
         *self.solver.engine.state_mut()? = whole;
+        self.solver.engine.end();
         Ok(())
     }
 

@@ -10,9 +10,9 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use tcgs_core::{Camera, Gaussians, View, activate};
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
-use tcgs_train::engine::Engine;
 use tcgs_train::engine::cpu::CpuEngine;
-use tcgs_train::{Glimpse, Glimpsed, Parameters, Preset, State, TrainConfig, Trainer};
+use tcgs_train::engine::{Engine, Target};
+use tcgs_train::{Glimpse, Glimpsed, Parameters, Preset, State, TrainConfig, Trained, Trainer};
 
 use crate::wall::{CENTER, add_ball, wall};
 
@@ -77,6 +77,7 @@ macro_rules! tests_on {
 tests_on!(
     on_cpu,
     noise_wakes_nothing,
+    images_of_another_size_wake_everything_once,
     a_still_object_wakes_when_it_starts_to_move_and_the_wall_sleeps_on,
     what_leaps_is_found_by_matches_and_not_by_gradients,
     a_lamp_wakes_all_that_it_lights,
@@ -137,6 +138,17 @@ fn fit(trainer: &mut Trainer, views: &[View]) -> usize {
     iterations
 }
 
+#[test]
+fn an_engine_lets_go_of_the_images_at_the_end() {
+    let targets: Arc<[Target]> = views(&scene(CENTER), 1, 0.0).iter().map(|view| Target::new(view, false)).collect();
+    let mut trainer = trainer(&|state| Box::new(CpuEngine::new(state)), &scene(CENTER), &scene(CENTER), 0.0);
+    let mut engine = CpuEngine::new(trainer.state().unwrap().clone());
+    engine.begin(Arc::clone(&targets), None).unwrap();
+    assert_eq!(Arc::strong_count(&targets), 2);
+    engine.end();
+    assert_eq!(Arc::strong_count(&targets), 1);
+}
+
 fn now(trainer: &mut Trainer) -> Gaussians {
     trainer.state().unwrap().parameters.gaussians.clone()
 }
@@ -150,6 +162,20 @@ fn changed(before: &Gaussians, after: &Gaussians) -> Vec<usize> {
         })
     };
     (0..before.num_gaussians()).filter(differs).collect()
+}
+
+fn images_of_another_size_wake_everything_once(make: Make<'_>) {
+    let sigma = 2.0 / 255.0;
+    let truth = scene(CENTER);
+    let mut trainer = trainer(make, &truth, &truth, sigma);
+    let halves = |seed| -> Vec<View> {
+        let halved = |view: View| View { camera: view.camera.downscaled(2), image: view.image.downscaled(2), ..view };
+        views(&truth, seed, sigma).into_iter().map(halved).collect()
+    };
+    fit(&mut trainer, &halves(2));
+    assert_eq!(trainer.trained(), Trained::ALL);
+    fit(&mut trainer, &halves(3));
+    assert!(trainer.trained().gaussians < 0.5, "{:?}", trainer.trained());
 }
 
 fn noise_wakes_nothing(make: Make<'_>) {

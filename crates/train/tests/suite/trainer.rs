@@ -193,6 +193,10 @@ impl Engine for Late {
         self.cpu.begin(targets, scenery)
     }
 
+    fn end(&mut self) {
+        self.cpu.end();
+    }
+
     fn step(&mut self, step: &Step<'_>) -> Result<(), TrainError> {
         self.cpu.step(step)
     }

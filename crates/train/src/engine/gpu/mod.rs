@@ -291,6 +291,9 @@ impl Engine for GpuEngine {
         Ok(())
     }
 
+    /// Keeps the images: the next timestep reuses their memory.
+    fn end(&mut self) {}
+
     fn step(&mut self, step: &Step<'_>) -> Result<(), TrainError> {
         self.prepare()?;
         let request = self.request(step);
