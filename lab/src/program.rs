@@ -97,8 +97,8 @@ pub fn run(step: &mut Command) -> anyhow::Result<ExitStatus> {
     run_measured(step).map(|(status, _)| status)
 }
 
-/// The same, with the most memory that the process held, bytes; 0 where this is not Linux. Linux counts the most that this
-/// process held before the start, too: the number is at least that.
+/// The same, with the most memory that the process held, bytes; 0 where this is not Linux. Linux counts the most that
+/// this process held before the start, too: the number is at least that.
 pub fn run_measured(step: &mut Command) -> anyhow::Result<(ExitStatus, u64)> {
     if ASKED.load(Ordering::SeqCst) {
         return Err(Stopped.into());

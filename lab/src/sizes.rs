@@ -15,8 +15,8 @@ use crate::program::{Program, run_measured};
 
 /// Measure time and memory of a training by the size of its images
 ///
-/// Renders the scene of `tcgs demo` at each size, trains it, and writes OUT/sizes.txt and OUT/sizes.svg. A size that OUT
-/// holds is not trained again; its options must be the same.
+/// Renders the scene of `tcgs demo` at each size, trains it, and writes OUT/sizes.txt and OUT/sizes.svg. A size that
+/// OUT holds is not trained again; its options must be the same.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Example:

@@ -80,8 +80,8 @@ pub struct Step<'a> {
 /// iterations.
 ///
 /// # Errors
-/// Every call that returns a result may fail with [`TrainError::Gpu`], also because of an iteration that an earlier call submitted. The
-/// engine must not be used after an error. The CPU engine never fails.
+/// Every call that returns a result may fail with [`TrainError::Gpu`], also because of an iteration that an earlier
+/// call submitted. The engine must not be used after an error. The CPU engine never fails.
 pub trait Engine: Send + Debug {
     /// Name of the device, for messages: `the CPU, 2 threads`.
     fn name(&self) -> String;
