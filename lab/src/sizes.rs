@@ -6,7 +6,7 @@ use std::process::Command;
 use std::str::FromStr;
 
 use anyhow::Context;
-use serde_json::Value;
+use serde_json::{Value, json};
 use tcgs_capture::{SyntheticSettings, write_synthetic};
 use tcgs_report::plot::{self, Axes, Line};
 
@@ -100,44 +100,34 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 fn measured(arguments: &Arguments, program: &Program, size: Size) -> anyhow::Result<Row> {
     let Size(width, height) = size;
     let folder = arguments.out.join(format!("{width}x{height}"));
-    let [capture, trained, memory_file] = ["capture", "run", "memory.txt"].map(|name| folder.join(name));
+    let [capture, trained, result] = ["capture", "run", "result.json"].map(|name| folder.join(name));
     let Arguments { cameras, timesteps, density, iterations, .. } = arguments;
     let options = format!("--cameras {cameras} --timesteps {timesteps} --density {density} --iterations {iterations}");
-    let options_file = folder.join("options.txt");
-    if !options_file.is_file() {
-        fs::create_dir_all(&folder)?;
-        fs::write(&options_file, &options)?;
-    }
-    let found = fs::read_to_string(&options_file)?;
-    if found != options {
-        let problem = format!("{}: made with {found}", folder.display());
-        return Err(wrong_input(format!("{problem}, expected {options}, or another --out")));
-    }
-    if !memory_file.is_file() {
-        let rendered = folder.join("rendered");
-        if !rendered.is_file() {
-            let settings = SyntheticSettings {
-                width,
-                height,
-                num_train_cameras: arguments.cameras,
-                num_timesteps: arguments.timesteps,
-                num_points: ((width * height) as f64 * arguments.density).round().max(1.0) as usize,
-                ..SyntheticSettings::default()
-            };
-            write_synthetic(&capture, &settings)?;
-            fs::write(&rendered, "")?;
-        }
+    if !result.is_file() {
+        let settings = SyntheticSettings {
+            width,
+            height,
+            num_train_cameras: *cameras,
+            num_timesteps: *timesteps,
+            num_points: ((width * height) as f64 * density).round().max(1.0) as usize,
+            ..SyntheticSettings::default()
+        };
+        write_synthetic(&capture, &settings)?;
         let mut train = Command::new(&program.path);
         train.arg("train").arg(&capture).arg("--out").arg(&trained);
-        train.args(["--preset", "fast", "--backend", "cpu", "--force", "--iterations", &arguments.iterations]);
+        train.args(["--preset", "fast", "--backend", "cpu", "--force", "--iterations", iterations]);
         train.stdout(fs::File::create(folder.join("train.log"))?);
         eprintln!("training at {width}x{height}");
         let (status, memory) = run_measured(&mut train)?;
         anyhow::ensure!(status.success(), "{width}x{height}: {status}, see {}", folder.join("train.log").display());
-        fs::write(&memory_file, memory.to_string())?;
+        fs::write(&result, json!({ "options": options, "memory": memory }).to_string())?;
     }
-    let memory = fs::read_to_string(&memory_file)?.trim().parse().context("memory.txt")?;
-    row(size, &trained.join("metrics.jsonl"), memory)
+    let found: Value = serde_json::from_str(&fs::read_to_string(&result)?).context("result.json")?;
+    if found["options"] != options.as_str() {
+        let problem = format!("{}: made with {}", folder.display(), found["options"]);
+        return Err(wrong_input(format!("{problem}, expected {options}, or another --out")));
+    }
+    row(size, &trained.join("metrics.jsonl"), found["memory"].as_u64().context("result.json")?)
 }
 
 /// The row of a run with at least two timesteps.
@@ -220,7 +210,7 @@ mod tests {
         let text: String = metrics
             .iter()
             .map(|(seconds, iterations, num_gaussians, psnr)| {
-                let line = serde_json::json!({
+                let line = json!({
                     "seconds": seconds, "iterations": iterations, "num_gaussians": num_gaussians, "psnr": psnr,
                 });
                 format!("{line}\n")

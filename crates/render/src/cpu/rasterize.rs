@@ -343,6 +343,22 @@ fn shown<const C: usize, const L: usize, const FUSED: bool>(
     own
 }
 
+/// Takes what a splat shows at a run of pixels from what lies behind the splats before it.
+#[inline(always)]
+fn take_away<const C: usize, const L: usize, const FUSED: bool>(
+    color: &[f32; C],
+    v_planes: &[Plane; C],
+    weights: &[f32; L],
+    behind: &mut Plane,
+    at: usize,
+) {
+    let own = shown::<C, L, FUSED>(color, v_planes, at);
+    let behind = run_mut::<L>(behind, at);
+    for l in 0..L {
+        behind[l] = mul_add::<FUSED>(-weights[l], own[l], behind[l]);
+    }
+}
+
 /// - `PARTIAL`: whether the statistic counts some channels and not all
 #[inline(always)]
 fn bwd<const C: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
@@ -395,17 +411,9 @@ fn bwd<const C: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
                         let at = row * TILE + column * L;
                         let x = left + (column * L) as f32;
                         let weights = blend_run::<L, FUSED>(terms, x, run_mut(&mut transmittance, at));
-                        let own = shown::<C, L, FUSED>(color, &v_planes, at);
-                        let behind = run_mut::<L>(&mut behind, at);
-                        for l in 0..L {
-                            behind[l] = mul_add::<FUSED>(-weights[l], own[l], behind[l]);
-                        }
+                        take_away::<C, L, FUSED>(color, &v_planes, &weights, &mut behind, at);
                         if PARTIAL {
-                            let own = shown::<C, L, FUSED>(&statistic_color, &v_planes, at);
-                            let behind = run_mut::<L>(&mut behind_statistic, at);
-                            for l in 0..L {
-                                behind[l] = mul_add::<FUSED>(-weights[l], own[l], behind[l]);
-                            }
+                            take_away::<C, L, FUSED>(&statistic_color, &v_planes, &weights, &mut behind_statistic, at);
                         }
                     }
                 }
