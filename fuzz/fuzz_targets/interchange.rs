@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use libfuzzer_sys::fuzz_target;
 use tcgs_core::SceneReader;
 use tcgs_interchange::{
-    Axes, FourdgsFile, NpzReader, ReadLimits, ReadSettings, read_gaussians, read_npy, read_ply_points,
+    Axes, FourdgsFile, NpzReader, ReadLimits, ReadSettings, SpzVersion, read_gaussians, read_npy, read_ply_points,
     write_compressed_ply_to, write_glb_to, write_ply_to, write_sog_to, write_spz_to,
 };
 
@@ -27,9 +27,11 @@ fuzz_target!(|bytes: &[u8]| {
         write_glb_to(&mut glb, &gaussians).expect("memory");
         write_compressed_ply_to(&mut compressed, &gaussians).expect("memory");
         write_sog_to(&mut sog, &gaussians).expect("memory");
-        let mut spz = Vec::new();
         // Some coordinates are too large for SPZ.
-        let spz = write_spz_to(&mut spz, &gaussians, Axes::RUB).ok().map(|()| spz);
+        let spz = [SpzVersion::V3, SpzVersion::V4].into_iter().filter_map(|version| {
+            let mut spz = Vec::new();
+            write_spz_to(&mut spz, &gaussians, Axes::RUB, version).ok().map(|()| spz)
+        });
         for written in [ply, glb, compressed, sog].into_iter().chain(spz) {
             let again = path("again");
             std::fs::write(&again, written).expect("a temporary file");
