@@ -15,6 +15,7 @@ import initialise, { Decoder } from "./decoder/tcgs_js.js";
  * @property {Float32Array} up unit vector that points up, -y where the file does not say; axes are right-handed
  * @property {Float32Array} boundsMin smallest coordinates of all centres at all timesteps, scene units
  * @property {Float32Array} boundsMax largest coordinates
+ * @property {Float32Array} background red, green and blue behind all Gaussians, sRGB in [0, 1]
  */
 
 /**

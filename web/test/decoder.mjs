@@ -42,7 +42,8 @@ test("every vector is decoded, to plausible Gaussians within what the file says"
   let withHarmonics = 0;
   for (const [name, bytes] of vectors) {
     const scene = await open(bytes);
-    const { numTimesteps, maxGaussians, shDegree, antialiased, boundsMin, boundsMax } = scene.info;
+    const { numTimesteps, maxGaussians, shDegree, antialiased, background, boundsMin, boundsMax } = scene.info;
+    assert.deepEqual(background, new Float32Array(3), name);
     assert.equal(antialiased, name.includes("antialiased"), name);
     assert.ok(boundsMin.every((least, i) => least <= boundsMax[i]), name);
     withHarmonics += shDegree > 0;

@@ -45,6 +45,8 @@ pub struct SceneInfo {
     pub bounds_min: [f32; 3],
     /// Largest coordinates of all centres at all timesteps, scene units.
     pub bounds_max: [f32; 3],
+    /// Colour behind all Gaussians: red, green and blue, sRGB in [0, 1]. The Gaussians are to be drawn before it.
+    pub background: [f32; 3],
 }
 
 /// The caller's arrays for the Gaussians of one timestep, each of `capacity` rows. NULL for an array that is not
@@ -183,6 +185,7 @@ pub unsafe extern "C" fn tcgs_scene_info(scene: *const Scene, info: *mut SceneIn
             up: of_file.up as u32,
             bounds_min,
             bounds_max,
+            background: scene.file.layout().background_color(),
         };
         Ok(())
     })

@@ -12,7 +12,7 @@ use tcgs_serve::{NO_PAGE, PAGE, single_file};
 
 use crate::error::wrong_input;
 use crate::options::{Frames, JobOptions};
-use crate::output::{check_folder, finish, is_numbered, show_bytes, write_file_with};
+use crate::output::{check_folder, finish, is_numbered, show_bytes, show_color, write_file_with};
 use crate::scene::{SceneOptions, describe, note_replaced};
 use crate::teller::Teller;
 use crate::terminal::{note, say};
@@ -215,6 +215,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         note(
             "the scene is antialiased: switch on antialiasing in the program that draws it, or small splats look too large",
         );
+    }
+    if scene.layout().background() != [0; 3] && is_for_others {
+        let color = show_color(scene.layout().background());
+        note(&format!("set the background to {color} in the program that draws the scene, or it looks too dark"));
     }
     note_replaced(&scene);
     arguments.job.write_json(&json!({ "out": to.display().to_string(), "bytes": bytes }))

@@ -178,6 +178,11 @@ pub fn show_time(time: Duration) -> String {
     }
 }
 
+/// A colour, sRGB of 255, as CSS writes it.
+pub fn show_color([red, green, blue]: [u8; 3]) -> String {
+    format!("#{red:02x}{green:02x}{blue:02x}")
+}
+
 /// Formats a size with three digits and a unit in powers of 1000.
 pub fn show_bytes(bytes: u64) -> String {
     let mut value = bytes as f64;

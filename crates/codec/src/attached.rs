@@ -1,5 +1,5 @@
-//! Application data for players (`docs/FORMAT.md`, "Application data"): times of timesteps, light, credits, sound. No
-//! decoder needs these data; a reader ignores data that are invalid.
+//! Application data for players (`docs/FORMAT.md`, "Application data"): times of timesteps, light, background, credits,
+//! sound. No decoder needs these data; a reader ignores data that are invalid.
 
 use serde::{Deserialize, Serialize};
 use tcgs_core::{Trust, length};
@@ -14,7 +14,8 @@ pub const CREDITS: &str = "tcgs.credits";
 pub const SOUND: &str = "tcgs.sound";
 /// Name of the application data with the light on a scene over time.
 pub const LIGHT: &str = "tcgs.light";
-
+/// Name of the application data with the colour behind all Gaussians.
+pub const BACKGROUND: &str = "tcgs.background";
 /// Name of the application data with the positions from which pictures can be trusted.
 pub const TRUST: &str = "tcgs.trust";
 
@@ -159,6 +160,33 @@ pub fn read_credits(data: &[(String, Vec<u8>)]) -> Option<Credits> {
     parse(data, CREDITS)
 }
 
+/// The colour behind all Gaussians, in a file.
+#[derive(Serialize, Deserialize)]
+struct BackgroundInFile {
+    color: [u8; 3],
+}
+
+/// Encodes the colour behind all Gaussians as application data.
+///
+/// - `color`: red, green and blue, sRGB of 255
+pub fn write_background(color: [u8; 3]) -> Vec<u8> {
+    serde_json::to_vec(&BackgroundInFile { color }).expect("numbers are JSON")
+}
+
+/// The colour behind all Gaussians: red, green and blue, sRGB of 255. It is black if the file does not say it, or says
+/// it wrongly.
+///
+/// - `data`: names and bytes of application data, in the order of the file
+///
+/// ```
+/// use tcgs_codec::{BACKGROUND, read_background};
+/// let data = [(BACKGROUND.to_owned(), br#"{ "color": [118, 120, 103] }"#.to_vec())];
+/// assert_eq!((read_background(&data), read_background(&[])), ([118, 120, 103], [0; 3]));
+/// ```
+pub fn read_background(data: &[(String, Vec<u8>)]) -> [u8; 3] {
+    parse(data, BACKGROUND).map_or([0; 3], |BackgroundInFile { color }| color)
+}
+
 /// Positions from which pictures can be trusted, in a file: all angles in degrees.
 #[derive(Serialize, Deserialize)]
 struct TrustInFile {
@@ -277,6 +305,16 @@ mod tests {
         assert!((0..60).all(|t| error(t) < 3.0 * LEAST_CHANGE), "{light:?}");
         assert_eq!(read_light(&[(LIGHT.into(), light.to_json())]), light);
         assert_eq!(Light::through(&[[0.5; 3]]).at(7), [0.5; 3]);
+    }
+
+    #[test]
+    fn a_background_that_is_wrong_is_black() {
+        let background = |json: &[u8]| read_background(&[(BACKGROUND.into(), json.to_vec())]);
+        assert_eq!(background(&write_background([0, 7, 255])), [0, 7, 255]);
+        assert_eq!(background(br#"{ "color": [1, 2, 3], "more": 1 }"#), [1, 2, 3]);
+        for wrong in ["[1, 2, 256]", "[1, 2]", "[1, 2, 3, 4]", "[-1, 2, 3]", "[0.5, 2, 3]", "\"#010203\""] {
+            assert_eq!(background(format!("{{ \"color\": {wrong} }}").as_bytes()), [0; 3], "{wrong}");
+        }
     }
 
     #[test]

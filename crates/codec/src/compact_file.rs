@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use tcgs_core::{Gaussians, Layout};
 
-use crate::attached::{Light, MAX_BYTES, read_light};
+use crate::attached::{Light, MAX_BYTES, read_background, read_light};
 use crate::bitstream::decode_archive;
 use crate::compact::{CompactScene, SceneInfo};
 use crate::error::DecodeError;
@@ -51,19 +51,21 @@ impl CompactFile {
     /// # Errors
     /// As [`decode`](crate::decode()).
     pub fn decode(file: &[u8], limits: &DecodeLimits) -> Result<Self, DecodeError> {
-        let (archive, cohorts) = decode_archive(file, limits)?;
+        let (archive, mut cohorts) = decode_archive(file, limits)?;
         let (info, declared_errors) = (archive.info().clone(), archive.declared_errors().to_vec());
-        // Other application data, such as sounds, may be larger than the light ever is.
+        // Other application data, such as sounds, may be larger than light and background ever are.
         let is_short = |(_, data): &(String, &[u8])| data.len() <= MAX_BYTES;
-        let of_light = archive.application_data_in(file)?.into_iter().filter(is_short);
-        let data: Vec<_> = of_light.map(|(name, data)| (name, data.to_vec())).collect();
+        let short = archive.application_data_in(file)?.into_iter().filter(is_short);
+        let data: Vec<_> = short.map(|(name, data)| (name, data.to_vec())).collect();
+        let background = read_background(&data);
+        cohorts.iter_mut().for_each(|cohort| cohort.layout = cohort.layout.before(background));
         Ok(Self { info, cohorts, declared_errors, light: read_light(&data) })
     }
 
     /// Encodes a `.tcgs` file.
     ///
     /// - `version`: of the format, 1 or 2
-    /// - `data`: name and content of each piece of application data; the light is added to them
+    /// - `data`: name and content of each piece of application data; light and background are added to them
     ///
     /// # Errors
     /// [`CompressError::Unsupported`](crate::CompressError::Unsupported) if the version does not hold the scene; else
@@ -71,9 +73,13 @@ impl CompactFile {
     #[cfg(feature = "encode")]
     pub fn encode(&self, version: u16, data: &[(&str, &[u8])]) -> Result<Vec<u8>, crate::CompressError> {
         let light = (self.light != Light::default()).then(|| self.light.to_json());
-        let data = &[data, light.as_deref().map(|json| (crate::LIGHT, json)).as_slice()].concat();
+        let background = self.layout().background();
+        let background = (background != [0; 3]).then(|| crate::write_background(background));
+        let mut data = data.to_vec();
+        data.extend(light.as_deref().map(|json| (crate::LIGHT, json)));
+        data.extend(background.as_deref().map(|json| (crate::BACKGROUND, json)));
         match (version, &self.cohorts[..]) {
-            (1, [only]) => crate::encode_with(only, data),
+            (1, [only]) => crate::encode_with(only, &data),
             (1, _) => {
                 let found = format!("{} cohorts", self.cohorts.len());
                 Err(crate::CompressError::Unsupported { version: 1, found })
@@ -81,7 +87,7 @@ impl CompactFile {
             _ => {
                 let mut file = std::io::Cursor::new(Vec::new());
                 let (info, errors) = (&self.info, &self.declared_errors);
-                let mut writer = crate::FileWriter::declaring(&mut file, info, errors, data, self.cohorts.len())?;
+                let mut writer = crate::FileWriter::declaring(&mut file, info, errors, &data, self.cohorts.len())?;
                 self.cohorts.iter().try_for_each(|cohort| writer.add(cohort))?;
                 writer.finish()?;
                 Ok(file.into_inner())
@@ -168,25 +174,28 @@ mod tests {
     use crate::{BitMap, CompressSettings, SceneFile, SegmentCache, compress};
 
     #[test]
-    fn a_file_holds_its_light() {
+    fn a_file_holds_its_light_and_its_background() {
         let mut floats = DynamicGaussians::default();
         (0..6).for_each(|_| floats.push(Gaussians::zeros(3)));
         let (map, info, settings) = (BitMap::uniform(3, 16, 6), SceneInfo::of(&floats), CompressSettings::default());
         let plain = CompactFile::of(compress(&floats, &map, None, info, &settings).unwrap());
         let gains: Vec<[f32; 3]> = (0..6).map(|t| [1.0, 1.0 + 0.03 * t as f32, 0.5]).collect();
-        let lit = CompactFile { light: Light::through(&gains), ..plain.clone() };
+        let mut lit = CompactFile { light: Light::through(&gains), ..plain.clone() };
+        lit.cohorts[0].layout = lit.layout().before([9, 0, 255]);
         let other = ("x.notes", &b"a red ball"[..]);
         for version in [1, 2] {
             let file = lit.encode(version, &[other]).unwrap();
             let decoded = CompactFile::decode(&file, &DecodeLimits::none()).unwrap();
             assert_eq!(decoded, lit);
-            assert_eq!(decoded.at(4), plain.at(4));
+            assert_eq!(decoded.at(4), plain.at(4).before([9, 0, 255]));
             let mut read =
                 SceneFile::open(Cursor::new(file), &DecodeLimits::none(), SegmentCache::DEFAULT_BYTES).unwrap();
-            assert_eq!(read.light().unwrap().at(5), [1.0, 1.15, 0.5]);
+            assert_eq!(read.light().at(5), [1.0, 1.15, 0.5]);
+            assert_eq!((read.at(4).unwrap(), read.layout()), (decoded.at(4), &lit.layout()));
             assert_eq!(read.application_data().unwrap()[0], (other.0.to_owned(), other.1.to_vec()));
             let plain = plain.encode(version, &[other]).unwrap();
-            assert_eq!(CompactFile::decode(&plain, &DecodeLimits::none()).unwrap().light, Light::default());
+            let plain = CompactFile::decode(&plain, &DecodeLimits::none()).unwrap();
+            assert_eq!((plain.light, plain.cohorts[0].layout.background()), (Light::default(), [0; 3]));
         }
     }
 }

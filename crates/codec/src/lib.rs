@@ -59,7 +59,8 @@ mod scene_file;
 mod views;
 
 pub use attached::{
-    CREDITS, Credits, LIGHT, Light, SOUND, TIMES, TRUST, read_credits, read_light, read_times, read_trust, write_trust,
+    BACKGROUND, CREDITS, Credits, LIGHT, Light, SOUND, TIMES, TRUST, read_background, read_credits, read_light,
+    read_times, read_trust, write_background, write_trust,
 };
 pub use attribute_errors::{AttributeErrors, attribute_error};
 pub use bits::{BitMap, BitMapping, BitSettings, assign_bits};

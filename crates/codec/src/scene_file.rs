@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use tcgs_core::{Gaussians, Layout, SceneReader};
 
-use crate::attached::{Light, MAX_BYTES, read_light};
+use crate::attached::{Light, MAX_BYTES, read_background, read_light};
 use crate::bitstream::{Archive, Cohort, FileInfo, Opening, Sampler, Segment, end_of_file, other_attributes};
 use crate::cache::SegmentCache;
 use crate::compact::SceneInfo;
@@ -55,8 +55,7 @@ pub struct SceneFile<R> {
     max_gaussians: usize,
     /// The cohorts that live at the timestep read last.
     cohorts: BTreeMap<usize, OpenCohort>,
-    /// The light, once it has been read.
-    light: Option<Light>,
+    light: Light,
 }
 
 /// A cohort with its shared layers.
@@ -178,7 +177,7 @@ impl<R: Read + Seek> SceneFile<R> {
             archive,
             max_segment_bytes,
             cohorts: BTreeMap::new(),
-            light: None,
+            light: Light::default(),
         };
         if length < file.archive.file_bytes() {
             file.loss = Some(Loss {
@@ -200,6 +199,8 @@ impl<R: Read + Seek> SceneFile<R> {
             file.open_cohort(0)?;
             file.layout = Arc::clone(file.cohorts[&0].cohort.layout());
         }
+        let data = file.application_data_of(MAX_BYTES as u64)?;
+        (file.layout, file.light) = (file.layout.before(read_background(&data)), read_light(&data));
         Ok(file)
     }
 
@@ -292,22 +293,16 @@ impl<R: Read + Seek> SceneFile<R> {
     }
 
     /// Gains of all colours over time, which [`Self::at`] does not apply. Ignores application data of more than 1 MiB.
-    ///
-    /// # Errors
-    /// As [`Self::application_data`].
-    pub fn light(&mut self) -> Result<&Light, DecodeError> {
-        if self.light.is_none() {
-            self.light = Some(read_light(&self.application_data_of(MAX_BYTES as u64)?));
-        }
-        Ok(self.light.get_or_insert_default())
+    pub fn light(&self) -> &Light {
+        &self.light
     }
 
     /// [`Self::at`] with colours multiplied by the gains of the timestep ([`Self::light`]), as a renderer draws them.
     ///
     /// # Errors
-    /// As [`Self::at`] and [`Self::light`].
+    /// As [`Self::at`].
     pub fn lit(&mut self, timestep: usize) -> Result<Gaussians, DecodeError> {
-        let gains = self.light()?.at(timestep);
+        let gains = self.light.at(timestep);
         Ok(self.at(timestep)?.lit(gains))
     }
 
@@ -357,9 +352,9 @@ impl<R: Read + Seek> SceneFile<R> {
     /// If `timestep` is not below [`SceneInfo::num_timesteps`].
     pub fn at(&mut self, timestep: usize) -> Result<Gaussians, DecodeError> {
         let alive = self.cohorts_at(timestep);
-        let mut parts = Vec::with_capacity(alive.len());
+        let (background, mut parts) = (self.layout.background(), Vec::with_capacity(alive.len()));
         for cohort in alive {
-            parts.push(self.of_cohort(cohort, timestep)?);
+            parts.push(self.of_cohort(cohort, timestep)?.before(background));
         }
         if let [_] = &parts[..] {
             return Ok(parts.pop().expect("one part"));
@@ -404,7 +399,7 @@ impl<R: Read + Seek> SceneFile<R> {
     fn of_cohort(&mut self, cohort: usize, timestep: usize) -> Result<Gaussians, DecodeError> {
         self.open_cohort(cohort)?;
         let open = &self.cohorts[&cohort];
-        if open.cohort.layout() != &self.layout {
+        if open.cohort.layout().before(self.layout.background()) != self.layout {
             return Err(other_attributes(self.archive.head_range(cohort).start));
         }
         let index = open.cohort.segment_at(timestep);

@@ -25,6 +25,8 @@ pub struct Activated {
     /// its determinants before and after it is widened by a pixel's extent. So small splats do not grow beyond their
     /// own area (Yu et al. 2024, Mip-Splatting, Eq. 10).
     pub is_antialiased: bool,
+    /// `[num_channels]`, or fewer: what lies behind all Gaussians. The channels that are left out are 0, which is black.
+    pub background: Vec<f32>,
 }
 
 impl Activated {
@@ -46,6 +48,7 @@ impl Activated {
             colors: select_rows(&self.colors, self.num_channels, indices),
             num_channels: self.num_channels,
             is_antialiased: self.is_antialiased,
+            background: self.background.clone(),
         }
     }
 
@@ -133,6 +136,7 @@ pub fn activate(gaussians: &Gaussians) -> Activated {
         colors: gaussians.values(Attribute::Color).to_vec(),
         num_channels: 3,
         is_antialiased: gaussians.layout().is_antialiased(),
+        background: gaussians.layout().background_color().to_vec(),
     }
 }
 

@@ -321,6 +321,12 @@ impl<Role> Columns<Role> {
         self.values[4].as_chunks_mut().0
     }
 
+    /// The same Gaussians, drawn before a background ([`Layout::background`]).
+    #[must_use]
+    pub fn before(self, background: [u8; 3]) -> Self {
+        Self { layout: self.layout.before(background), ..self }
+    }
+
     /// The same Gaussians in another light: colours and the coefficients of spherical harmonics are multiplied by one
     /// gain for each of red, green and blue.
     ///

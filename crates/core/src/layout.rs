@@ -81,6 +81,7 @@ pub struct Column {
 pub struct Layout {
     columns: Vec<Column>,
     is_antialiased: bool,
+    background: [u8; 3],
 }
 
 impl Column {
@@ -110,7 +111,7 @@ impl Column {
 impl Default for Layout {
     /// The five columns of [`Attribute::BASE`].
     fn default() -> Self {
-        Self { columns: Attribute::BASE.map(Column::like).into(), is_antialiased: false }
+        Self { columns: Attribute::BASE.map(Column::like).into(), is_antialiased: false, background: [0; 3] }
     }
 }
 
@@ -203,6 +204,28 @@ impl Layout {
     /// trained.
     pub fn is_antialiased(&self) -> bool {
         self.is_antialiased
+    }
+
+    /// The same columns, for Gaussians drawn before a background ([`Self::background`]).
+    ///
+    /// - `background`: red, green and blue, sRGB of 255
+    #[must_use]
+    pub fn before(self: &Arc<Self>, background: [u8; 3]) -> Arc<Self> {
+        if self.background == background {
+            return Arc::clone(self);
+        }
+        Arc::new(Self { background, ..Self::clone(self) })
+    }
+
+    /// Colour behind all Gaussians: red, green and blue, sRGB of 255; black at first. Gaussians are to be drawn before
+    /// the background that they were trained before.
+    pub fn background(&self) -> [u8; 3] {
+        self.background
+    }
+
+    /// [`Self::background`] in `[0, 1]`, as a renderer takes it.
+    pub fn background_color(&self) -> [f32; 3] {
+        self.background.map(|level| f32::from(level) / 255.0)
     }
 
     /// All columns, in storage order.

@@ -51,6 +51,7 @@ impl Decoder {
             ("frameRate", info.frame_rate.into()),
             ("shDegree", (file.layout().sh_degree() as u32).into()),
             ("antialiased", file.layout().is_antialiased().into()),
+            ("background", Float32Array::from(&file.layout().background_color()[..]).into()),
             ("up", Float32Array::from(&info.up.direction().map(|x| x as f32)[..]).into()),
             ("boundsMin", Float32Array::from(&bounds[0][..]).into()),
             ("boundsMax", Float32Array::from(&bounds[1][..]).into()),

@@ -180,11 +180,9 @@ impl SegmentRenderer {
         self.reconstruction.load(request.moment, request.camera.center())?;
         self.make_room(request.camera)?;
         let Some(renderer) = &mut self.renderer else { return Ok(()) };
-        let mut settings = RenderSettings::default();
         // The blit multiplies the whole picture by the light.
-        for channel in 0..3 {
-            settings.background[channel] = request.background[channel] / request.light[channel];
-        }
+        let background: [f32; 3] = std::array::from_fn(|c| request.background[c] / request.light[c]);
+        let settings = RenderSettings::default().or_before(&background);
         renderer.set_view(request.camera, &settings, request.moment.is_antialiased());
         self.gpu.queue().write_buffer(&renderer.buffers().status, 0, &[0; 16]);
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());

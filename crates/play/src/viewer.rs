@@ -1,6 +1,6 @@
 //! A player, a camera and a renderer: a complete viewer except for its window.
 
-use tcgs_codec::{Archive, FileCamera, SceneInfo, read_trust, read_views};
+use tcgs_codec::{Archive, FileCamera, SceneInfo, read_background, read_trust, read_views};
 use tcgs_core::{Camera, Trust};
 
 use crate::clock::Clock;
@@ -102,7 +102,8 @@ pub struct FrameReport {
 /// ```
 pub struct Viewer<F: Feed, R: Renderer> {
     device: R::Device,
-    background: [f32; 3],
+    /// None: the scene's own.
+    background: Option<[f32; 3]>,
     session: Option<Session<F, R>>,
 }
 
@@ -118,6 +119,8 @@ struct Display<M, R> {
     renderer: R,
     controls: Controls,
     trust: Option<Trust>,
+    /// The scene's own.
+    background: [f32; 3],
     /// The timestep that is drawn until the next due one has arrived.
     shown: M,
 }
@@ -128,7 +131,7 @@ impl<F: Feed, R: Renderer<Moment = F::Moment>> Viewer<F, R> {
     /// - `device`: for [`SegmentRenderer`](crate::SegmentRenderer) the GPU and the format of the textures drawn to.
     ///   That must not encode sRGB, because colours are stored as displayed
     pub fn new(device: R::Device) -> Self {
-        Self { device, background: [0.0; 3], session: None }
+        Self { device, background: None, session: None }
     }
 
     /// Starts opening a scene, and closes the scene before. Later calls of [`Self::update`] fetch and decode it.
@@ -156,10 +159,12 @@ impl<F: Feed, R: Renderer<Moment = F::Moment>> Viewer<F, R> {
                 Some(display) => display.shown = moment,
                 None => {
                     let StartView { camera, up, pivot } = session.player.start_view(&moment);
+                    let data = session.player.application_data();
                     session.display = Some(Display {
                         renderer: R::begin(&self.device)?,
                         controls: Controls::new(&camera, up, pivot),
-                        trust: read_trust(session.player.application_data()),
+                        trust: read_trust(data),
+                        background: read_background(data).map(|level| f32::from(level) / 255.0),
                         shown: moment,
                     });
                 }
@@ -178,7 +183,7 @@ impl<F: Feed, R: Renderer<Moment = F::Moment>> Viewer<F, R> {
     pub fn draw(&mut self, size: [usize; 2], target: &R::Target) -> Result<Option<FrameReport>, PlayError> {
         match self.camera(size) {
             Some(camera) => self.draw_views(&camera, &[(&camera, target)]),
-            None => R::clear(&self.device, target, self.background).map(|()| None),
+            None => R::clear(&self.device, target, self.background.unwrap_or_default()).map(|()| None),
         }
     }
 
@@ -198,7 +203,8 @@ impl<F: Feed, R: Renderer<Moment = F::Moment>> Viewer<F, R> {
     ) -> Result<Option<FrameReport>, PlayError> {
         let Some(Session { player, display: Some(display) }) = &mut self.session else { return Ok(None) };
         player.look(sorter);
-        let (moment, background, light) = (&display.shown, self.background, player.light(&display.shown));
+        let (moment, light) = (&display.shown, player.light(&display.shown));
+        let background = self.background.unwrap_or(display.background);
         for &(camera, target) in views {
             display.renderer.draw(&PictureRequest { moment, camera, background, light }, target)?;
         }
@@ -225,7 +231,7 @@ impl<F: Feed, R: Renderer<Moment = F::Moment>> Viewer<F, R> {
         let camera = display.controls.camera(size);
         player.look(&camera);
         let Some(moment) = player.current().filter(|moment| player.is_due(moment, &camera)) else { return Ok(None) };
-        let (background, light) = (self.background, player.light(&moment));
+        let (background, light) = (self.background.unwrap_or(display.background), player.light(&moment));
         let request = PictureRequest { moment: &moment, camera: &camera, background, light };
         Ok(Some(display.renderer.begin_still(&request)?))
     }
@@ -241,10 +247,10 @@ impl<F: Feed, R: Renderer<Moment = F::Moment>> Viewer<F, R> {
         }
     }
 
-    /// Sets the colour behind all Gaussians, black at first.
+    /// Sets the colour behind all Gaussians.
     ///
-    /// - `background`: sRGB in `[0, 1]`
-    pub fn set_background(&mut self, background: [f32; 3]) {
+    /// - `background`: sRGB in `[0, 1]`; None, at first: the scene's own, and black before it is known
+    pub fn set_background(&mut self, background: Option<[f32; 3]>) {
         self.background = background;
     }
 

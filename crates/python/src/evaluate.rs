@@ -24,7 +24,7 @@ use crate::watch::Watch;
 /// - scene: a Scene
 /// - camera: a Camera
 /// - timestep: from 0; negative ones count from the end
-/// - background: red, green and blue behind everything, sRGB; black if None
+/// - background: red, green and blue behind everything, sRGB; the scene's own if None
 /// - backend: "auto" (the GPU if there is one), "gpu" or "cpu"
 /// - device: a part of the name of the GPU to compute on
 ///
@@ -45,10 +45,10 @@ pub fn render<'py>(
     device: Option<&str>,
 ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
     let timestep = scene.timestep(timestep.index())?;
-    let mut settings = RenderSettings::default();
-    if let Some(background) = background {
-        settings.background[..3].copy_from_slice(&triple::<f32>("background", &background)?);
-    }
+    let settings = match background {
+        Some(background) => RenderSettings::default().or_before(&triple::<f32>("background", &background)?),
+        None => RenderSettings::default(),
+    };
     reserve_images(1, [camera.0.width, camera.0.height], 3)?;
     let backend = crate::backend::backend(py, backend, device)?;
     let (scene, PyCamera(camera)) = (&*scene.0, &camera);

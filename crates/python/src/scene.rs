@@ -260,6 +260,12 @@ impl PyScene {
         self.0.layout().is_antialiased()
     }
 
+    /// Colour behind all Gaussians: red, green and blue, sRGB of 255. The Gaussians are to be drawn before it.
+    #[getter]
+    fn background(&self) -> (u8, u8, u8) {
+        self.0.layout().background().into()
+    }
+
     /// Highest degree of the spherical harmonics; 0 without any.
     #[getter]
     fn sh_degree(&self) -> usize {

@@ -193,8 +193,7 @@ impl Given {
     /// - `seen`: result of `seen_by`
     /// - `background`: `[C]`
     pub fn forward(seen: &Activated, camera: Camera, background: &[f32]) -> (Image, View) {
-        let mut settings = RenderSettings { statistic_channels: 0, ..RenderSettings::default() };
-        settings.background[..background.len()].copy_from_slice(background);
+        let settings = RenderSettings { statistic_channels: 0, ..RenderSettings::default() }.or_before(background);
         let (RenderOutput { image, transmittance }, saved) = forward(seen, &camera, &settings);
         (image, View { camera, settings, saved, transmittance })
     }
@@ -251,7 +250,8 @@ impl Given {
 
 /// Accumulates the gradients of alpha, which is the image of white Gaussians on black.
 fn add_alpha(seen: &Activated, camera: &Camera, v_alpha: &Image, grads: &mut ActivatedGrads) {
-    let white = Activated { colors: vec![1.0; seen.num_gaussians()], num_channels: 1, ..seen.clone() };
+    let colors = vec![1.0; seen.num_gaussians()];
+    let white = Activated { colors, num_channels: 1, background: Vec::new(), ..seen.clone() };
     let settings = RenderSettings { statistic_channels: 0, ..RenderSettings::default() };
     let (_, saved) = forward(&white, camera, &settings);
     let Ok(more) = CpuRasterizer.backward(&white, camera, &settings, &saved, v_alpha);

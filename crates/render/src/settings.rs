@@ -29,15 +29,34 @@ pub const FOV_MARGIN: f64 = 0.3;
 /// A renderer's inputs besides Gaussians and a camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RenderSettings {
-    /// Colour behind everything, one value per channel. Default: black (reference).
-    pub background: [f32; MAX_CHANNELS],
+    /// Colour behind everything, one value per channel. Default: the Gaussians' own
+    /// ([`Activated::background`](tcgs_core::Activated)).
+    pub background: Option<[f32; MAX_CHANNELS]>,
     /// Number of leading channels whose gradient the densification statistic counts. Default: 3, the colours, without
     /// the segmentation that shares the pass.
     pub statistic_channels: usize,
 }
 
+impl RenderSettings {
+    /// The same settings, with the background of Gaussians unless there is one.
+    ///
+    /// - `background`: [`Activated::background`](tcgs_core::Activated)
+    ///
+    /// # Panics
+    /// If `background` has more than `MAX_CHANNELS` channels.
+    #[must_use]
+    pub fn or_before(self, background: &[f32]) -> Self {
+        let own = || {
+            let mut channels = [0.0; MAX_CHANNELS];
+            channels[..background.len()].copy_from_slice(background);
+            channels
+        };
+        Self { background: Some(self.background.unwrap_or_else(own)), ..self }
+    }
+}
+
 impl Default for RenderSettings {
     fn default() -> Self {
-        Self { background: [0.0; MAX_CHANNELS], statistic_channels: 3 }
+        Self { background: None, statistic_channels: 3 }
     }
 }

@@ -103,7 +103,7 @@ impl Run {
         let text = read_text(&path, TrainConfig::MAX_BYTES).map_err(read(&path))?;
         // Settings that a `config.toml` lacks are off, so that such a run goes on as it began.
         let (gate, births, deaths) = (GateConfig::OFF, BirthConfig::OFF, DeathConfig::OFF);
-        let render = RenderConfig { antialiased: false };
+        let render = RenderConfig::OFF;
         let mut base = TrainConfig { gate, births, deaths, render, ..TrainConfig::default() };
         (base.densify.prune_error, base.rates.camera_centered) = (0.0, false);
         let merged = |base: &TrainConfig| {

@@ -150,7 +150,7 @@ impl Surfaces {
             pinhole.project(*mean).is_some_and(|(place, z)| depths.at(place).is_some_and(|surface| z < FREE * surface))
         };
         let colors = gaussians.means.iter().map(|mean| f32::from(u8::from(is_free(mean)))).collect();
-        Activated { colors, num_channels: 1, ..gaussians.clone() }
+        Activated { colors, num_channels: 1, background: Vec::new(), ..gaussians.clone() }
     }
 }
 

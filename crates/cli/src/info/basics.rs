@@ -9,7 +9,7 @@ use tcgs_pipeline::PipelineError;
 use tcgs_prepare::RawFootage;
 
 use crate::error::wrong_input;
-use crate::output::show_bytes;
+use crate::output::{show_bytes, show_color};
 use crate::scene::{SourceOptions, numbers};
 use crate::terminal::say;
 
@@ -43,6 +43,7 @@ pub fn print(path: &Path, source: SourceOptions, data: Option<&str>) -> anyhow::
     say(&format!("frame rate    {}", frame_rate.map_or("unknown".into(), |rate| format!("{} a second", rate as f32))))?;
     say(&format!("harmonics     degree {}", layout.sh_degree()))?;
     say(&format!("antialiased   {}", if layout.is_antialiased() { "yes" } else { "no" }))?;
+    say(&format!("background    {}", show_color(layout.background())))?;
     say(&format!("axes          {}", axes.as_deref().unwrap_or("unknown")))?;
     if let Some(bounds) = &bounds {
         bounds.print()?;
@@ -60,6 +61,7 @@ pub fn print(path: &Path, source: SourceOptions, data: Option<&str>) -> anyhow::
         "frame_rate": frame_rate,
         "sh_degree": layout.sh_degree(),
         "antialiased": layout.is_antialiased(),
+        "background": layout.background(),
         "axes": axes,
         "bounds": bounds.map(Bounds::into_json),
         "raw_bytes": scene.bytes,

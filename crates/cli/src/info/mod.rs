@@ -20,7 +20,7 @@ use self::basics::Bounds;
 use crate::attribute_errors;
 use crate::error::wrong_input;
 use crate::options::JobOptions;
-use crate::output::show_bytes;
+use crate::output::{show_bytes, show_color};
 use crate::scene::{RecoverOption, SourceOptions, describe_loss, describe_trust, unreadable};
 use crate::terminal::{note, say, write};
 
@@ -104,10 +104,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         (info, data.into_iter().map(|(name, data)| (name, data.len() as u64)).collect::<Vec<_>>())
     };
     say(&format!("{path}: version {}, {} ({} bytes)", info.version, show_bytes(info.bytes), info.bytes))?;
-    let first = |mut file: SceneFile<File>| Bounds::of(file.at(0).ok()?.means());
-    let bounds = open().ok().filter(|_| is_known(&info)).and_then(first);
+    let mut file = open().ok();
+    let first = |file: &mut SceneFile<File>| Bounds::of(file.at(0).ok()?.means());
+    let bounds = file.as_mut().filter(|_| is_known(&info)).and_then(first);
+    let background = file.as_ref().map_or([0; 3], |file| file.layout().background());
     if is_known(&info) {
-        print_scene(&info)?;
+        print_scene(&info, background)?;
         bounds.as_ref().map_or(Ok(()), Bounds::print)?;
     }
     if let Some(contents) = &info.contents {
@@ -126,15 +128,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     } else {
         print_cohorts(&info, first_frame)?;
     }
-    if let Some(trust) =
-        read_trust(&open().and_then(|mut file| file.application_data().map_err(damaged)).unwrap_or_default())
-    {
+    let application_data = file.as_mut().and_then(|file| file.application_data().ok());
+    if let Some(trust) = read_trust(&application_data.unwrap_or_default()) {
         say(&describe_trust(&trust))?;
     }
     for (name, bytes) in data {
         say(&format!("application data: {name}, {}", show_bytes(bytes)))?;
     }
-    arguments.job.write_json(&machine_readable(&info, bounds))?;
+    arguments.job.write_json(&machine_readable(&info, bounds, background))?;
     let damaged = info.sections.iter().filter(|s| s.is_whole && s.checksum_ok == Some(false));
     let damaged: Vec<String> = damaged.map(|s| described(s, info.cohorts.len())).collect();
     if !damaged.is_empty() {
@@ -165,7 +166,8 @@ fn is_antialiased(info: &FileInfo) -> bool {
     info.cohorts.first().is_some_and(|cohort| cohort.layout.is_antialiased())
 }
 
-fn print_scene(info: &FileInfo) -> anyhow::Result<()> {
+/// - `background`: of [`Layout`](tcgs_core::Layout)
+fn print_scene(info: &FileInfo, background: [u8; 3]) -> anyhow::Result<()> {
     let scene = &info.scene;
     let name = if scene.name.is_empty() { "-" } else { &scene.name };
     let (first, last) =
@@ -180,6 +182,9 @@ fn print_scene(info: &FileInfo) -> anyhow::Result<()> {
     say(&format!("downscale     {}", scene.downscale))?;
     if is_antialiased(info) {
         say("antialiased   yes")?;
+    }
+    if background != [0; 3] {
+        say(&format!("background    {}", show_color(background)))?;
     }
     say(&format!("up            {}", scene.up.name()))
 }
@@ -277,7 +282,7 @@ fn print_cohorts(info: &FileInfo, first: usize) -> anyhow::Result<()> {
 }
 
 /// - `bounds`: at the first timestep; `None` if they cannot be read
-fn machine_readable(info: &FileInfo, bounds: Option<Bounds>) -> Value {
+fn machine_readable(info: &FileInfo, bounds: Option<Bounds>, background: [u8; 3]) -> Value {
     let contents = info.contents.as_ref();
     let scene = is_known(info).then_some(&info.scene);
     let was_read = info.sections.iter().all(|section| section.checksum_ok.is_some());
@@ -306,6 +311,7 @@ fn machine_readable(info: &FileInfo, bounds: Option<Bounds>) -> Value {
         "frame_rate": scene.map(|s| s.frame_rate),
         "sh_degree": info.cohorts.first().filter(|_| scene.is_some()).map(|cohort| cohort.layout.sh_degree()),
         "antialiased": scene.map(|_| is_antialiased(info)),
+        "background": scene.map(|_| background),
         "bounds": bounds.map(Bounds::into_json),
         "raw_bytes": contents.map(|contents| contents.raw_bytes),
         "bytes": info.bytes,

@@ -11,6 +11,7 @@
 //! | `cam_m`, `cam_c` | `(50, 3)`: image = exp(cam_m) * render + cam_c | [`ParamsExtras`], written only |
 //! | `tcgs_first_frame`, `tcgs_downscale`, `tcgs_frame_rate` | `(1,)` each, ours alone, optional | [`ParamsOrigin`] |
 //! | `tcgs_antialiased` | `(1,)`: 1, ours alone, of antialiased scenes | [`Layout::is_antialiased`](tcgs_core::Layout::is_antialiased) |
+//! | `tcgs_background` | `(3,)`: red, green and blue of 255, ours alone, unless black | [`Layout::background`](tcgs_core::Layout::background) |
 //!
 //! The format has no field for the frame of the capture that its first timestep shows. Other programs number the
 //! timesteps from 0 and ignore the arrays whose names begin with `tcgs_`: a scene of the frames 7 to 9 has the
@@ -31,6 +32,8 @@ const DOWNSCALE: &str = "tcgs_downscale";
 const FRAME_RATE: &str = "tcgs_frame_rate";
 /// Key of an array that antialiased scenes have.
 const ANTIALIASED: &str = "tcgs_antialiased";
+/// Key of the colour behind all Gaussians, sRGB of 255, unless it is black.
+const BACKGROUND: &str = "tcgs_background";
 
 /// Which frames of a capture a scene shows, and at which resolution it was trained. The format of Dynamic 3D Gaussians
 /// has no such fields; other programs ignore these arrays.

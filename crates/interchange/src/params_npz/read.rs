@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use tcgs_core::{DynamicGaussians, Gaussians, Layout, SceneReader};
 
-use super::{ANTIALIASED, DOWNSCALE, FIRST_FRAME, FRAME_RATE, ParamsOrigin};
+use super::{ANTIALIASED, BACKGROUND, DOWNSCALE, FIRST_FRAME, FRAME_RATE, ParamsOrigin};
 use crate::npy::show_shape;
 use crate::npz::NpzRows;
 use crate::{InterchangeError, NpzReader, ReadLimits};
@@ -158,7 +158,18 @@ fn open_params(path: &Path, limits: ReadLimits) -> Result<ParamsNpz, Interchange
         Ok(array.values)
     };
     let (log_scales, logit_opacities) = (constant("log_scales", 3)?, constant("logit_opacities", 1)?);
-    let layout = Layout::base().antialiased(npz.contains(ANTIALIASED));
+    let background = match npz.contains(BACKGROUND) {
+        true => {
+            let levels = npz.array(BACKGROUND)?.values;
+            let is_level = |level: &f32| level.fract() == 0.0 && (0.0..=255.0).contains(level);
+            let color =
+                levels.first_chunk().filter(|color: &&[f32; 3]| levels.len() == 3 && color.iter().all(is_level));
+            let problem = || format!("is {levels:?}, expected red, green and blue of 0 to 255");
+            color.ok_or_else(|| invalid(BACKGROUND, problem()))?.map(|level| level as u8)
+        }
+        false => [0; 3],
+    };
+    let layout = Layout::base().antialiased(npz.contains(ANTIALIASED)).before(background);
     Ok(ParamsNpz { npz, num_timesteps, num_gaussians, layout, means, quats, log_scales, logit_opacities, colors })
 }
 

@@ -83,6 +83,19 @@ fn a_scene_survives_the_round_trip_and_gives_the_same_bytes() {
     write_params_npz(&path, &antialiased, &ParamsExtras::default()).unwrap();
     let read = read_params_npz(&path).unwrap();
     assert!(read == antialiased && read.layout().is_antialiased());
+    // So does the background.
+    let before = scene_of(Layout::base().before([1, 20, 255]));
+    write_params_npz(&path, &before, &ParamsExtras::default()).unwrap();
+    assert_eq!(read_params_npz(&path).unwrap(), before);
+}
+
+#[test]
+fn a_background_that_is_no_colour_is_an_error() {
+    for wrong in [&[1.0, 2.0][..], &[1.0, 2.0, 256.0], &[1.0, 2.5, 3.0], &[1.0, 2.0, 3.0, 4.0]] {
+        let error =
+            read_with(|arrays| arrays.push(("tcgs_background", vec![wrong.len()], wrong.to_vec()))).unwrap_err();
+        assert!(error.contains("tcgs_background") && error.contains("expected red, green and blue"), "{error}");
+    }
 }
 
 /// [`arrays`] as [`Array`]s, compressed or not, in an archive.

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use tcgs_core::{Attribute, DynamicGaussians, SceneReader};
 
-use super::{ANTIALIASED, DOWNSCALE, FIRST_FRAME, FRAME_RATE, ParamsOrigin};
+use super::{ANTIALIASED, BACKGROUND, DOWNSCALE, FIRST_FRAME, FRAME_RATE, ParamsOrigin};
 use crate::{Existing, InterchangeError, NpzWriter, write_whole};
 
 /// Rows of `cam_m` and `cam_c`: the source always has 50, whatever the number of cameras.
@@ -116,6 +116,9 @@ pub fn write_params_npz_from<W: Write + Seek, R: SceneReader>(
     }
     if scene.layout().is_antialiased() {
         npz.array(ANTIALIASED, &[1], [[1.0].as_slice()])?;
+    }
+    if scene.layout().background() != [0; 3] {
+        npz.array(BACKGROUND, &[3], [scene.layout().background().map(f32::from).as_slice()])?;
     }
     npz.finish()
 }

@@ -15,6 +15,7 @@
 //! |---|---|
 //! | `SplatRenderMode: mip`, of Brush and splat-transform | [`Layout::is_antialiased`]; written for such Gaussians |
 //! | `antialiased 1` or `true`, of Postshot | the same; not written |
+//! | `tcgs background 118 120 103`, ours alone | [`Layout::background`], unless it is black |
 //!
 //! Files hold all `f_rest` of red, then of green, then of blue: coefficient `k` of channel `c` is `f_rest_{c K + k}`
 //! with `K` of 3, 8 or 15. The columns hold red, green and blue of each coefficient together.
@@ -41,12 +42,21 @@ use self::vertex::{PROPERTIES, REQUIRED, Vertex};
 use crate::stored::{Head, checked, color_from_sh0, sh0_from_color};
 use crate::{Axes, HigherHarmonics, InterchangeError, ReadSettings};
 
-/// The comment of files whose Gaussians are drawn with antialiasing.
-const ANTIALIASED: &str = "comment SplatRenderMode: mip\n";
+/// What a comment begins with that says the colour behind all Gaussians.
+const BACKGROUND: &str = "tcgs background ";
+
+/// The comments of a header that say how Gaussians are drawn.
+fn comments(layout: &Layout) -> String {
+    let antialiased = if layout.is_antialiased() { "comment SplatRenderMode: mip\n" } else { "" };
+    match layout.background() {
+        [0, 0, 0] => antialiased.into(),
+        [red, green, blue] => format!("{antialiased}comment {BACKGROUND}{red} {green} {blue}\n"),
+    }
+}
 
 /// Reads the Gaussians of one PLY file, in stored form. The file is binary of either byte order, or ASCII; it has the
 /// properties of 3D Gaussian splatting, or is compressed. Unknown properties are ignored. Comments may say that the
-/// Gaussians are drawn with antialiasing ([`Layout::is_antialiased`]).
+/// Gaussians are drawn with antialiasing ([`Layout::is_antialiased`]), and before which background.
 ///
 /// ```
 /// use tcgs_core::{Gaussians, Layout};
@@ -113,8 +123,8 @@ pub fn write_ply_to(mut writer: impl Write, gaussians: &Gaussians) -> io::Result
     let names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"].into_iter().chain(rest);
     let names = names.chain(["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]);
     let properties: String = names.map(|name| format!("property float {name}\n")).collect();
-    let comment = if gaussians.layout().is_antialiased() { ANTIALIASED } else { "" };
-    write!(writer, "ply\nformat binary_little_endian 1.0\n{comment}element vertex {n}\n{properties}end_header\n")?;
+    let comments = comments(gaussians.layout());
+    write!(writer, "ply\nformat binary_little_endian 1.0\n{comments}element vertex {n}\n{properties}end_header\n")?;
     for i in 0..n {
         let mut row = Vec::with_capacity(17 + num_rest);
         row.extend(gaussians.means()[i]);
@@ -176,7 +186,8 @@ fn open(path: &Path, settings: ReadSettings) -> Result<(PlyReader<BufReader<File
     if least_bytes(ply.header()).is_none_or(|least| least > length) {
         return Err(ends_early(path));
     }
-    let layout = Layout::with_harmonics(sh_degree).antialiased(is_antialiased(&ply.header().comments));
+    let comments = &ply.header().comments;
+    let layout = Layout::with_harmonics(sh_degree).antialiased(is_antialiased(comments)).before(background(comments));
     let head = Head { num_gaussians: element.count, layout };
     // The rows as they are read, and the columns of the Gaussians.
     settings.limits.check_bytes(path, length, 2 * head.layout.raw_bytes(head.num_gaussians, 1))?;
@@ -197,6 +208,15 @@ fn is_antialiased(comments: &[String]) -> bool {
         }
     };
     comments.iter().rev().find_map(says).unwrap_or(false)
+}
+
+/// The colour behind all Gaussians by the last comment that says one; else black.
+fn background(comments: &[String]) -> [u8; 3] {
+    let says = |comment: &String| {
+        let levels = comment.trim().strip_prefix(BACKGROUND)?.split_whitespace();
+        levels.map(|level| level.parse().ok()).collect::<Option<Vec<u8>>>()?.try_into().ok()
+    };
+    comments.iter().rev().find_map(says).unwrap_or_default()
 }
 
 /// The degree of a file's harmonics, or what is wrong with them.

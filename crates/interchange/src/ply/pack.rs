@@ -7,7 +7,7 @@ use tcgs_core::{Gaussians, normalize, sigmoid};
 
 use super::compressed::{CHUNK, COLOR_RANGES, PACKED, RANGES};
 use super::vertex::{PROPERTIES, REQUIRED};
-use super::{ANTIALIASED, num_rest, rest_of_band};
+use super::{comments, num_rest, rest_of_band};
 use crate::stored::smallest_three;
 
 /// Largest log scale that is written, and the negative of the smallest: standard deviations of 2e-9 and 5e8 scene
@@ -86,7 +86,7 @@ pub fn write_compressed_ply_to(mut writer: impl Write, gaussians: &Gaussians) ->
 
 fn header(gaussians: &Gaussians) -> String {
     let (n, sh_degree) = (gaussians.num_gaussians(), gaussians.layout().sh_degree());
-    let comment = if gaussians.layout().is_antialiased() { ANTIALIASED } else { "" };
+    let comments = comments(gaussians.layout());
     let element = |name: &str, count: usize, kind: &str, properties: &[&str]| {
         let lines: String = properties.iter().map(|property| format!("property {kind} {property}\n")).collect();
         format!("element {name} {count}\n{lines}")
@@ -97,7 +97,7 @@ fn header(gaussians: &Gaussians) -> String {
         0 => String::new(),
         count => element("sh", n, "uchar", &PROPERTIES[REQUIRED..][..count]),
     };
-    format!("ply\nformat binary_little_endian 1.0\n{comment}{chunk}{vertex}{sh}end_header\n")
+    format!("ply\nformat binary_little_endian 1.0\n{comments}{chunk}{vertex}{sh}end_header\n")
 }
 
 /// The range of a chunk's values.

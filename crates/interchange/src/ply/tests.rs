@@ -310,6 +310,25 @@ fn comments_say_whether_gaussians_are_antialiased() {
 }
 
 #[test]
+fn the_last_comment_that_names_a_background_counts() {
+    let plain = little_endian(&names(9));
+    for (comments, expected) in [
+        ("", [0; 3]),
+        ("comment tcgs background 118 120 103\n", [118, 120, 103]),
+        ("comment tcgs background 1 2 3\ncomment tcgs background 4 5 6\ncomment red\n", [4, 5, 6]),
+        ("comment tcgs background 1 2 256\n", [0; 3]),
+        ("comment tcgs background 1 2\n", [0; 3]),
+        ("comment tcgs background 1 2 3 4\n", [0; 3]),
+    ] {
+        let found = read(&commented(&plain, comments), ReadSettings::default()).unwrap();
+        assert_eq!(found.layout().background(), expected, "{comments}");
+    }
+    let (layout, mut bytes) = (Layout::with_harmonics(1).antialiased(true).before([0, 9, 255]), Vec::new());
+    write_ply_to(&mut bytes, &Gaussians::zeros_of(&layout, 2)).unwrap();
+    assert_eq!(*read(&bytes, ReadSettings::default()).unwrap().layout(), layout);
+}
+
+#[test]
 fn antialiased_gaussians_are_written_with_a_comment() {
     let written = |layout: &std::sync::Arc<Layout>| {
         let mut bytes = Vec::new();

@@ -1,5 +1,6 @@
 //! From a capture to a run folder.
 
+mod background;
 mod chapter;
 mod fit;
 mod folder;
@@ -13,6 +14,7 @@ use tcgs_capture::{Capture, Split};
 use tcgs_prepare::close_holes;
 use tcgs_train::{TrainConfig, Trainer};
 
+use self::background::border_color;
 use self::fit::FEW_POINTS;
 use crate::{Backend, PipelineError, capture_for};
 
@@ -38,11 +40,15 @@ pub fn new_trainer(config: &TrainConfig, capture: &Capture, backend: &Backend) -
     // Points of `tcgs prepare` leave nothing open, few points would give a shell of a few points, and a removal without
     // a measured error would remove what no view shows.
     let is_given = capture.measured_share()?.is_none() && cloud.points.len() >= FEW_POINTS;
-    let make = |state| backend.engine(state);
-    if !is_given || config.densify.prune_error == 0.0 {
-        return Ok(Trainer::with_engine(config, &cloud, &cameras, make)?);
+    let closes_holes = is_given && config.densify.prune_error > 0.0;
+    let cloud = if closes_holes { close_holes(&cloud, &cameras) } else { cloud };
+    let mut trainer = Trainer::with_engine(config, &cloud, &cameras, |state| backend.engine(state))?;
+    if closes_holes {
+        trainer.keep_out_of_images(&cameras)?;
     }
-    let mut trainer = Trainer::with_engine(config, &close_holes(&cloud, &cameras), &cameras, make)?;
-    trainer.keep_out_of_images(&cameras)?;
+    if config.render.background {
+        let views = capture.views(Split::Train, config.data.first_frame, config.data.downscale)?;
+        trainer.draw_before(border_color(&views))?;
+    }
     Ok(trainer)
 }

@@ -227,10 +227,10 @@ impl WebViewer {
         self.with_clock(|clock| clock.set_looping(is_looping));
     }
 
-    /// Sets the colour behind all Gaussians, sRGB in [0, 1]; black at first.
+    /// Sets the colour behind all Gaussians, sRGB in [0, 1]; the scene's own at first.
     #[wasm_bindgen(js_name = setBackground)]
     pub fn set_background(&self, r: f32, g: f32, b: f32) {
-        self.state.borrow_mut().viewer.set_background([r, g, b]);
+        self.state.borrow_mut().viewer.set_background(Some([r, g, b]));
     }
 
     /// Sets the canvas' size in device pixels, or the nearest that the GPU allows.

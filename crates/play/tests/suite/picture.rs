@@ -333,7 +333,7 @@ fn a_viewer_plays_pauses_and_takes_stills() {
     assert_eq!((frame.timestep, frame.is_playing), (10, true));
 
     viewer.controls_mut().unwrap().orbit(0.3, 0.1);
-    viewer.set_background([0.2, 0.3, 0.4]);
+    viewer.set_background(Some([0.2, 0.3, 0.4]));
     let begun = viewer.begin_still([96, 64]).unwrap().unwrap();
     gpu.wait().unwrap();
     let pixels = viewer.finish_still(&begun).unwrap().unwrap();

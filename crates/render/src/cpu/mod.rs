@@ -137,6 +137,9 @@ impl CpuRasterizer {
         assert_eq!(lengths, [n; 3], "quats, scales and opacities against {n} means");
         let channels = gaussians.num_channels;
         assert_eq!(gaussians.colors.len(), n * channels, "colors against [{n}, {channels}]");
+        let behind = gaussians.background.len();
+        assert!(behind <= channels, "a background of {behind} channels behind Gaussians of {channels}");
+        let settings = &settings.clone().or_before(&gaussians.background);
         let shape = [image.num_channels, image.height, image.width];
         assert_eq!(shape, [channels, camera.height, camera.width], "the image to draw into");
         let grid = tile_grid(camera.width, camera.height);
@@ -267,7 +270,7 @@ impl CpuTiles {
     ///     opacities: vec![0.9; 2],
     ///     colors: vec![0.0; 6],
     ///     num_channels: 3,
-    ///     is_antialiased: false,
+    ///     ..Activated::default()
     /// };
     /// let weights = CpuTiles::new(&two, &camera).weights(&Image::filled(64, 48, 1, 1.0));
     /// assert!((weights[0] / (64.0 * 48.0) - 0.9).abs() < 0.01 && (weights[1] / weights[0] - 0.1).abs() < 0.01);

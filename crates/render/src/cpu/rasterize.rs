@@ -246,10 +246,11 @@ fn fwd<const C: usize, const L: usize, const FUSED: bool>(
             }
         }
     }
+    let background = settings.background.unwrap_or_default();
     for i in 0..TILE * TILE {
         let t = transmittance[i].abs();
         transmittance[i] = t;
-        for (plane, background) in planes.iter_mut().zip(settings.background) {
+        for (plane, background) in planes.iter_mut().zip(background) {
             plane[i] = mul_add::<FUSED>(t, background, plane[i]);
         }
     }

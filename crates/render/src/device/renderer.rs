@@ -211,7 +211,7 @@ impl ViewUniform {
             part,
             antialiased: u32::from(antialiased),
             padding: [0; 3],
-            background: settings.background,
+            background: settings.background.unwrap_or_default(),
         }
     }
 }

@@ -6,8 +6,10 @@ use tcgs_core::{Activated, Camera, Image};
 use tcgs_render::gpu::GpuRasterizer;
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderGrads, RenderOutput, RenderSettings};
 
+const BEHIND: [f32; 8] = [0.1, 0.3, 0.2, 0.9, 0.5, 0.4, 0.7, 0.6];
+
 fn settings() -> RenderSettings {
-    RenderSettings { background: [0.1, 0.3, 0.2, 0.9, 0.5, 0.4, 0.7, 0.6], ..RenderSettings::default() }
+    RenderSettings { background: Some(BEHIND), ..RenderSettings::default() }
 }
 
 fn v_image(output: &RenderOutput) -> Image {
@@ -98,7 +100,7 @@ fn nothing_to_draw_is_the_background() {
         let (output, grads) = render(&rasterizer, &scene, &camera);
         assert!(output.transmittance.iter().all(|&t| t == 1.0));
         for channel in 0..3 {
-            assert!(output.image.plane(channel).iter().all(|&v| v == settings().background[channel]));
+            assert!(output.image.plane(channel).iter().all(|&v| v == BEHIND[channel]));
         }
         assert!(grads.activated.v_means.as_flattened().iter().all(|&v| v == 0.0));
     }

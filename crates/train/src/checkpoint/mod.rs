@@ -126,6 +126,9 @@ impl Checkpoint {
         if first && layout.is_antialiased() {
             arrays.add(ANTIALIASED, For::Scene, &[1], &[1_u8]);
         }
+        if first && layout.background() != [0; 3] {
+            arrays.add(BACKGROUND, For::Scene, &[3], &layout.background());
+        }
         // A born Gaussian brings values of its own in all columns, and a dead one takes its values away.
         let has_lifetimes = !self.lifetimes.are_whole();
         for column in layout.columns().iter().filter(|column| first || has_lifetimes || column.varies) {
@@ -277,6 +280,8 @@ impl List {
 
 /// Name of an array whose presence means that the Gaussians are drawn with antialiasing.
 const ANTIALIASED: &str = "antialiased";
+/// Name of the array of the background's colour, sRGB of 255; black without it.
+const BACKGROUND: &str = "background";
 /// Name of the array of all counts of updates; every state of an optimizer has it.
 const STEPS: &str = "steps";
 /// Name of the array of mask logits.
@@ -375,6 +380,13 @@ fn read_parameters(arrays: &Arrays, first: Option<&Checkpoint>) -> Result<Parame
         None => Layout::base(),
     };
     let layout = if arrays.contains_key(ANTIALIASED) { layout.antialiased(true) } else { layout };
+    let layout = match arrays.contains_key(BACKGROUND) {
+        true => {
+            let color = get::<u8>(arrays, BACKGROUND)?.first_chunk().copied();
+            layout.before(color.ok_or("background is no colour")?)
+        }
+        false => layout,
+    };
     let mut gaussians = Gaussians::zeros_of(&layout, n);
     for column in layout.columns() {
         let (name, values) = (values_name(column), gaussians.values_mut(column.attribute));

@@ -29,7 +29,7 @@ const RATE: Bounds = Number(0.0, 1e38);
 const WEIGHT: Bounds = Number(0.0, FACTOR);
 
 /// Every setting by its dotted name, in the order of `config.toml`.
-const BOUNDS: [(&str, Bounds); 72] = [
+const BOUNDS: [(&str, Bounds); 73] = [
     ("preset", Any),
     ("seed", Any),
     ("data.capture", Any),
@@ -106,6 +106,7 @@ const BOUNDS: [(&str, Bounds); 72] = [
     ("deaths.share", Number(0.0, 0.999)),
     ("color.degree", Whole(0, tcgs_core::MAX_SH_DEGREE as i64)),
     ("render.antialiased", Any),
+    ("render.background", Any),
 ];
 
 /// Checks that every setting of a whole configuration has a value within its bounds.

@@ -259,4 +259,12 @@ pub struct RenderConfig {
     /// then looks the same at other resolutions than that of training (Yu et al. 2024, Mip-Splatting). A run that
     /// continues another scene follows that scene. Reference false; default true.
     pub antialiased: bool,
+    /// Whether what lies behind all Gaussians has the colour that images have at their borders, instead of black. A run
+    /// that continues another scene follows that scene. Reference false; default true.
+    pub background: bool,
+}
+
+impl RenderConfig {
+    /// As the reference draws.
+    pub const OFF: Self = Self { antialiased: false, background: false };
 }

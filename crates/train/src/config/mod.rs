@@ -183,7 +183,7 @@ impl TrainConfig {
             births: BirthConfig::OFF,
             deaths: DeathConfig::OFF,
             color: ColorConfig { degree: 0 },
-            render: RenderConfig { antialiased: false },
+            render: RenderConfig::OFF,
         };
         let mut config = reference;
         match preset {
@@ -221,7 +221,7 @@ impl TrainConfig {
                 config.densify.prune_opacity_end = DensifyConfig::PRUNE_OPACITY;
                 // Antialiased splats have larger gradients.
                 config.densify.gradient_threshold = 3e-4;
-                config.render.antialiased = true;
+                config.render = RenderConfig { antialiased: true, background: true };
                 (config.densify.reset, config.densify.prune_large) = (0, 0);
                 config.gate = GateConfig::ON;
                 config.births = BirthConfig::ON;

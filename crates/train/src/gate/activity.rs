@@ -137,7 +137,7 @@ impl Activity {
         activity.before = all.select(&activity.active);
         // Active Gaussians answer for every tile in which they are visible, changed or not.
         let colors: Vec<f32> = is_active.iter().map(|&is_active| f32::from(u8::from(is_active))).collect();
-        let marked = Activated { colors, num_channels: 1, ..all.clone() };
+        let marked = Activated { colors, num_channels: 1, background: Vec::new(), ..all.clone() };
         (&mut activity.tiles, targets)
             .into_par_iter()
             .for_each(|(tiles, target)| tiles.union(&tiles_shown(&marked, &activity.before, &target.camera)));

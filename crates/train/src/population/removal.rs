@@ -8,7 +8,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use tcgs_core::{Activated, Camera, Gaussians, Image, View, activate, cameras_between, seen_colors};
 use tcgs_metrics::psnr;
-use tcgs_render::{CpuRasterizer, CpuTiles, Rasterizer, RenderSettings, settings::MAX_CHANNELS};
+use tcgs_render::{CpuRasterizer, CpuTiles, Rasterizer, RenderSettings};
 
 use super::unseen::are_in_images;
 use crate::parameters::corrected;
@@ -30,7 +30,7 @@ const SMALL: usize = 90;
 const FROM_BETWEEN: f32 = 4.0;
 
 /// Without the statistic of densification.
-const SETTINGS: RenderSettings = RenderSettings { background: [0.0; MAX_CHANNELS], statistic_channels: 0 };
+const SETTINGS: RenderSettings = RenderSettings { background: None, statistic_channels: 0 };
 
 /// Gaussians at one timestep, and the images that they should match.
 #[derive(Clone, Copy, Debug)]

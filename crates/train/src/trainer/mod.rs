@@ -232,6 +232,18 @@ impl Trainer {
         }
     }
 
+    /// Before the first timestep: sets the colour behind all Gaussians.
+    ///
+    /// - `background`: red, green and blue, sRGB of 255
+    ///
+    /// # Errors
+    /// [`TrainError::Gpu`] if the engine failed.
+    pub fn draw_before(&mut self, background: [u8; 3]) -> Result<(), TrainError> {
+        let gaussians = &mut self.solver.engine.state_mut()?.parameters.gaussians;
+        *gaussians = std::mem::take(gaussians).before(background);
+        Ok(())
+    }
+
     /// Before the first timestep: shrinks the Gaussians that it does not train, since they are in no image, until none
     /// reaches into one.
     ///

@@ -38,7 +38,7 @@ fn open(path: &Path, settings: OpenSettings) -> Result<OpenScene, PipelineError>
         CutFiles::Refuse => SceneFile::open,
         CutFiles::Recover => SceneFile::recover,
     };
-    let mut scene = open(again, &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES).map_err(decode_error)?;
+    let scene = open(again, &DecodeLimits::default(), SegmentCache::DEFAULT_BYTES).map_err(decode_error)?;
     let loss = scene.loss().copied();
     let length = loss.map_or(scene.archive().file_bytes(), |loss| loss.bytes);
     // Data of applications are small and in no segment: their checksums are verified at once.
@@ -50,7 +50,7 @@ fn open(path: &Path, settings: OpenSettings) -> Result<OpenScene, PipelineError>
             .map_err(unreadable)?;
         scene.archive().read_application(index, &bytes).map_err(decode_error)?;
     }
-    let light = scene.light().map_err(decode_error)?.clone();
+    let light = scene.light().clone();
     let (info, layout) = (scene.info().clone(), Arc::clone(scene.layout()));
     let content = FileContent { path: path.into(), info: info.clone(), loss, light, file: Mutex::new(scene) };
     Ok(described(path, &info, layout, length, Box::new(content)))

@@ -173,14 +173,16 @@ impl GpuEngine {
         let targets = self.targets.as_ref().expect("a step comes after its timestep's begin");
         let camera = &targets.cameras[request.camera];
         let uniform = StepUniform { slot: self.in_flight.slot() as u32, ..request.uniform };
-        let is_antialiased = self.state.host().parameters.gaussians.layout().is_antialiased();
+        let layout = self.state.host().parameters.gaussians.layout();
+        let is_antialiased = layout.is_antialiased();
+        let settings = RenderSettings::default().or_before(&layout.background_color());
         let (loaded, passes) = self.memory.ready();
         match &self.parts {
             Some(parts) => {
                 let part = parts.place(request.camera).view.part;
-                passes.renderer.set_part(camera, &RenderSettings::default(), is_antialiased, part);
+                passes.renderer.set_part(camera, &settings, is_antialiased, part);
             }
-            None => passes.renderer.set_view(camera, &RenderSettings::default(), is_antialiased),
+            None => passes.renderer.set_view(camera, &settings, is_antialiased),
         }
         self.gpu.queue().write_buffer(&loaded.model.step, 0, &uniform.bytes(&request.rates));
         let mut encoder = self.gpu.encoder();
