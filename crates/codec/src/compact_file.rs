@@ -58,7 +58,7 @@ impl CompactFile {
         let short = archive.application_data_in(file)?.into_iter().filter(is_short);
         let data: Vec<_> = short.map(|(name, data)| (name, data.to_vec())).collect();
         let background = read_background(&data);
-        cohorts.iter_mut().for_each(|cohort| cohort.layout = cohort.layout.before(background));
+        cohorts.iter_mut().for_each(|cohort| cohort.layout = cohort.layout.with_background(background));
         Ok(Self { info, cohorts, declared_errors, light: read_light(&data) })
     }
 
@@ -181,13 +181,13 @@ mod tests {
         let plain = CompactFile::of(compress(&floats, &map, None, info, &settings).unwrap());
         let gains: Vec<[f32; 3]> = (0..6).map(|t| [1.0, 1.0 + 0.03 * t as f32, 0.5]).collect();
         let mut lit = CompactFile { light: Light::through(&gains), ..plain.clone() };
-        lit.cohorts[0].layout = lit.layout().before([9, 0, 255]);
+        lit.cohorts[0].layout = lit.layout().with_background([9, 0, 255]);
         let other = ("x.notes", &b"a red ball"[..]);
         for version in [1, 2] {
             let file = lit.encode(version, &[other]).unwrap();
             let decoded = CompactFile::decode(&file, &DecodeLimits::none()).unwrap();
             assert_eq!(decoded, lit);
-            assert_eq!(decoded.at(4), plain.at(4).before([9, 0, 255]));
+            assert_eq!(decoded.at(4), plain.at(4).with_background([9, 0, 255]));
             let mut read =
                 SceneFile::open(Cursor::new(file), &DecodeLimits::none(), SegmentCache::DEFAULT_BYTES).unwrap();
             assert_eq!(read.light().at(5), [1.0, 1.15, 0.5]);

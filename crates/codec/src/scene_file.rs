@@ -200,7 +200,7 @@ impl<R: Read + Seek> SceneFile<R> {
             file.layout = Arc::clone(file.cohorts[&0].cohort.layout());
         }
         let data = file.application_data_of(MAX_BYTES as u64)?;
-        (file.layout, file.light) = (file.layout.before(read_background(&data)), read_light(&data));
+        (file.layout, file.light) = (file.layout.with_background(read_background(&data)), read_light(&data));
         Ok(file)
     }
 
@@ -354,7 +354,7 @@ impl<R: Read + Seek> SceneFile<R> {
         let alive = self.cohorts_at(timestep);
         let (background, mut parts) = (self.layout.background(), Vec::with_capacity(alive.len()));
         for cohort in alive {
-            parts.push(self.of_cohort(cohort, timestep)?.before(background));
+            parts.push(self.of_cohort(cohort, timestep)?.with_background(background));
         }
         if let [_] = &parts[..] {
             return Ok(parts.pop().expect("one part"));
@@ -399,7 +399,7 @@ impl<R: Read + Seek> SceneFile<R> {
     fn of_cohort(&mut self, cohort: usize, timestep: usize) -> Result<Gaussians, DecodeError> {
         self.open_cohort(cohort)?;
         let open = &self.cohorts[&cohort];
-        if open.cohort.layout().before(self.layout.background()) != self.layout {
+        if open.cohort.layout().with_background(self.layout.background()) != self.layout {
             return Err(other_attributes(self.archive.head_range(cohort).start));
         }
         let index = open.cohort.segment_at(timestep);

@@ -323,8 +323,8 @@ impl<Role> Columns<Role> {
 
     /// The same Gaussians, drawn before a background ([`Layout::background`]).
     #[must_use]
-    pub fn before(self, background: [u8; 3]) -> Self {
-        Self { layout: self.layout.before(background), ..self }
+    pub fn with_background(self, background: [u8; 3]) -> Self {
+        Self { layout: self.layout.with_background(background), ..self }
     }
 
     /// The same Gaussians in another light: colours and the coefficients of spherical harmonics are multiplied by one

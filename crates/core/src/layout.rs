@@ -210,7 +210,7 @@ impl Layout {
     ///
     /// - `background`: red, green and blue, sRGB of 255
     #[must_use]
-    pub fn before(self: &Arc<Self>, background: [u8; 3]) -> Arc<Self> {
+    pub fn with_background(self: &Arc<Self>, background: [u8; 3]) -> Arc<Self> {
         if self.background == background {
             return Arc::clone(self);
         }

@@ -182,7 +182,7 @@ impl SegmentRenderer {
         let Some(renderer) = &mut self.renderer else { return Ok(()) };
         // The blit multiplies the whole picture by the light.
         let background: [f32; 3] = std::array::from_fn(|c| request.background[c] / request.light[c]);
-        let settings = RenderSettings::default().or_before(&background);
+        let settings = RenderSettings::default().or_background(&background);
         renderer.set_view(request.camera, &settings, request.moment.is_antialiased());
         self.gpu.queue().write_buffer(&renderer.buffers().status, 0, &[0; 16]);
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());

@@ -46,7 +46,7 @@ pub fn render<'py>(
 ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
     let timestep = scene.timestep(timestep.index())?;
     let settings = match background {
-        Some(background) => RenderSettings::default().or_before(&triple::<f32>("background", &background)?),
+        Some(background) => RenderSettings::default().or_background(&triple::<f32>("background", &background)?),
         None => RenderSettings::default(),
     };
     reserve_images(1, [camera.0.width, camera.0.height], 3)?;

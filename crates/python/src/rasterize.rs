@@ -165,6 +165,7 @@ pub fn rasterize(
         colors: if degree.is_none() { colors.values.clone() } else { Vec::new() },
         num_channels,
         is_antialiased,
+        background: Vec::new(),
     };
     let coefficients = degree.map(|degree| (&colors.values[..], shapes.colors[1], degree));
     let given = Given::new(activated, quats, coefficients, near);

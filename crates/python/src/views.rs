@@ -193,7 +193,7 @@ impl Given {
     /// - `seen`: result of `seen_by`
     /// - `background`: `[C]`
     pub fn forward(seen: &Activated, camera: Camera, background: &[f32]) -> (Image, View) {
-        let settings = RenderSettings { statistic_channels: 0, ..RenderSettings::default() }.or_before(background);
+        let settings = RenderSettings { statistic_channels: 0, ..RenderSettings::default() }.or_background(background);
         let (RenderOutput { image, transmittance }, saved) = forward(seen, &camera, &settings);
         (image, View { camera, settings, saved, transmittance })
     }

@@ -45,7 +45,7 @@ impl RenderSettings {
     /// # Panics
     /// If `background` has more than `MAX_CHANNELS` channels.
     #[must_use]
-    pub fn or_before(self, background: &[f32]) -> Self {
+    pub fn or_background(self, background: &[f32]) -> Self {
         let own = || {
             let mut channels = [0.0; MAX_CHANNELS];
             channels[..background.len()].copy_from_slice(background);

@@ -234,6 +234,7 @@ mod tests {
             colors: vec![0.0; 9],
             num_channels: 3,
             is_antialiased: false,
+            background: Vec::new(),
         };
         let marked = surfaces.mark_free(&gaussians, &camera(0.0));
         assert_eq!((marked.colors, marked.num_channels), (vec![1.0, 0.0, 0.0], 1));

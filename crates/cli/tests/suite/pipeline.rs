@@ -145,6 +145,7 @@ fn a_capture_becomes_a_small_file_that_renders() {
             "frame_rate",
             "sh_degree",
             "antialiased",
+            "background",
             "bounds",
             "raw_bytes",
             "bytes",
@@ -356,9 +357,9 @@ fn every_protocol_has_its_names_and_lpips_where_there_are_weights() {
     }
 }
 
-/// Antialiasing passes from the training settings into the file, and the file is drawn with it.
+/// Antialiasing and the background pass from the training into the file, and the file is drawn with both.
 #[test]
-fn an_antialiased_training_gives_an_antialiased_file() {
+fn a_file_is_drawn_as_its_training_drew() {
     let folder = tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     let run = train(&folder, "run", &["--set", "render.antialiased=true", "--frames", "0..2"]);
@@ -370,6 +371,10 @@ fn an_antialiased_training_gives_an_antialiased_file() {
     assert!(said.contains("Gaussians, antialiased, "), "{said}");
     succeed(&["info", text(&file), "--json", text(&result)]);
     assert_eq!((&json(&result)["antialiased"], &json(&result)["version"]), (&true.into(), &2.into()));
+    let background = json(&result)["background"].clone();
+    assert_ne!(background, serde_json::json!([0, 0, 0]));
+    succeed(&["info", text(&run), "--json", text(&result), "--force"]);
+    assert_eq!(json(&result)["background"], background);
     let psnr = |scene: &std::path::Path| {
         let given = ["eval", text(scene), "--capture", text(capture()), "--cameras", "train", "--json", text(&result)];
         succeed(&[&given[..], &["--force"]].concat());

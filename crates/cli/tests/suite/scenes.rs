@@ -21,7 +21,7 @@ fn info(scene: &Path) -> (String, Value) {
     (succeed(&["info", text(scene), "--json", text(&result)]), json(&result))
 }
 
-const BASICS: [&str; 14] = [
+const BASICS: [&str; 15] = [
     "kind",
     "version",
     "num_gaussians",
@@ -32,6 +32,7 @@ const BASICS: [&str; 14] = [
     "frame_rate",
     "sh_degree",
     "antialiased",
+    "background",
     "axes",
     "bounds",
     "raw_bytes",

@@ -169,7 +169,7 @@ fn open_params(path: &Path, limits: ReadLimits) -> Result<ParamsNpz, Interchange
         }
         false => [0; 3],
     };
-    let layout = Layout::base().antialiased(npz.contains(ANTIALIASED)).before(background);
+    let layout = Layout::base().antialiased(npz.contains(ANTIALIASED)).with_background(background);
     Ok(ParamsNpz { npz, num_timesteps, num_gaussians, layout, means, quats, log_scales, logit_opacities, colors })
 }
 

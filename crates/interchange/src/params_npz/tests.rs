@@ -84,7 +84,7 @@ fn a_scene_survives_the_round_trip_and_gives_the_same_bytes() {
     let read = read_params_npz(&path).unwrap();
     assert!(read == antialiased && read.layout().is_antialiased());
     // So does the background.
-    let before = scene_of(Layout::base().before([1, 20, 255]));
+    let before = scene_of(Layout::base().with_background([1, 20, 255]));
     write_params_npz(&path, &before, &ParamsExtras::default()).unwrap();
     assert_eq!(read_params_npz(&path).unwrap(), before);
 }

@@ -187,7 +187,8 @@ fn open(path: &Path, settings: ReadSettings) -> Result<(PlyReader<BufReader<File
         return Err(ends_early(path));
     }
     let comments = &ply.header().comments;
-    let layout = Layout::with_harmonics(sh_degree).antialiased(is_antialiased(comments)).before(background(comments));
+    let layout =
+        Layout::with_harmonics(sh_degree).antialiased(is_antialiased(comments)).with_background(background(comments));
     let head = Head { num_gaussians: element.count, layout };
     // The rows as they are read, and the columns of the Gaussians.
     settings.limits.check_bytes(path, length, 2 * head.layout.raw_bytes(head.num_gaussians, 1))?;

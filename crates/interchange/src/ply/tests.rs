@@ -323,7 +323,7 @@ fn the_last_comment_that_names_a_background_counts() {
         let found = read(&commented(&plain, comments), ReadSettings::default()).unwrap();
         assert_eq!(found.layout().background(), expected, "{comments}");
     }
-    let (layout, mut bytes) = (Layout::with_harmonics(1).antialiased(true).before([0, 9, 255]), Vec::new());
+    let (layout, mut bytes) = (Layout::with_harmonics(1).antialiased(true).with_background([0, 9, 255]), Vec::new());
     write_ply_to(&mut bytes, &Gaussians::zeros_of(&layout, 2)).unwrap();
     assert_eq!(*read(&bytes, ReadSettings::default()).unwrap().layout(), layout);
 }

@@ -48,7 +48,7 @@ pub fn new_trainer(config: &TrainConfig, capture: &Capture, backend: &Backend) -
     }
     if config.render.background {
         let views = capture.views(Split::Train, config.data.first_frame, config.data.downscale)?;
-        trainer.draw_before(border_color(&views))?;
+        trainer.set_background(border_color(&views))?;
     }
     Ok(trainer)
 }

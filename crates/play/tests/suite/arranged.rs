@@ -78,8 +78,7 @@ fn drawn(rows: &[u32], order: &[u32], is_antialiased: bool, camera: &Camera) -> 
 }
 
 fn expected(moment: &Moment, camera: &Camera) -> Image {
-    let mut settings = RenderSettings::default();
-    settings.background[..3].copy_from_slice(&BACKGROUND);
+    let settings = RenderSettings::default().or_background(&BACKGROUND);
     let drawable = Drawable::new(&moment.gaussians()).seen_by(camera);
     CpuRasterizer.forward(&drawable, camera, &settings).unwrap().0.image
 }

@@ -55,8 +55,7 @@ fn expected(moment: &Moment, camera: &Camera, background: [f32; 3]) -> Vec<u8> {
 }
 
 fn expected_in(moment: &Moment, camera: &Camera, background: [f32; 3], light: [f32; 3]) -> Vec<u8> {
-    let mut settings = RenderSettings::default();
-    settings.background[..3].copy_from_slice(&background);
+    let settings = RenderSettings::default().or_background(&background);
     let drawn = Drawable::new(&moment.gaussians().lit(light)).seen_by(camera);
     let (output, _) = CpuRasterizer.forward(&drawn, camera, &settings).unwrap();
     output.image.to_rgb8().chunks_exact(3).flat_map(|pixel| [pixel[0], pixel[1], pixel[2], 255]).collect()
@@ -339,6 +338,19 @@ fn a_viewer_plays_pauses_and_takes_stills() {
     let pixels = viewer.finish_still(&begun).unwrap().unwrap();
     let camera = viewer.camera([96, 64]).unwrap();
     let expected = expected(&moment(&file, 10), &camera, [0.2, 0.3, 0.4]);
+    assert!(share_alike(&pixels, &expected) >= 0.999);
+
+    // Without a colour of the caller's the scene's own counts.
+    let mut scene = CompactFile::decode(&file, &DecodeLimits::default()).unwrap();
+    scene.cohorts[0].layout = scene.layout().with_background([51, 102, 204]);
+    let colored = scene.encode(2, &[]).unwrap();
+    viewer.set_background(None);
+    viewer.open(Player::new(BytesSource::new(&colored[..]), settings(1 << 30), 7));
+    while !viewer.update(0.0).unwrap() {}
+    let begun = viewer.begin_still([96, 64]).unwrap().unwrap();
+    gpu.wait().unwrap();
+    let pixels = viewer.finish_still(&begun).unwrap().unwrap();
+    let expected = self::expected(&moment(&file, 7), &viewer.camera([96, 64]).unwrap(), [0.2, 0.4, 0.8]);
     assert!(share_alike(&pixels, &expected) >= 0.999);
 
     // Another file takes its place; an invalid one leaves nothing.

@@ -139,7 +139,7 @@ impl CpuRasterizer {
         assert_eq!(gaussians.colors.len(), n * channels, "colors against [{n}, {channels}]");
         let behind = gaussians.background.len();
         assert!(behind <= channels, "a background of {behind} channels behind Gaussians of {channels}");
-        let settings = &settings.clone().or_before(&gaussians.background);
+        let settings = &settings.clone().or_background(&gaussians.background);
         let shape = [image.num_channels, image.height, image.width];
         assert_eq!(shape, [channels, camera.height, camera.width], "the image to draw into");
         let grid = tile_grid(camera.width, camera.height);

@@ -92,7 +92,7 @@ impl GpuRasterizer {
             if let Some(v_image) = v_image {
                 queue.write_buffer(&renderer.buffers().v_image, 0, bytemuck::cast_slice(&v_image.data));
             }
-            let settings = settings.clone().or_before(&gaussians.background);
+            let settings = settings.clone().or_background(&gaussians.background);
             renderer.set_view(camera, &settings, gaussians.is_antialiased);
             let mut encoder = self.gpu.encoder();
             let begin = Instant::now();

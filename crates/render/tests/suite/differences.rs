@@ -146,6 +146,10 @@ fn nothing_to_draw_leaves_the_background() {
     assert!((0..3).all(|c| output.image.plane(c).iter().all(|&x| x == BEHIND[c])));
     let grads = CpuRasterizer.backward(&empty, &camera, &background(), &saved, &v_image(20, 20, 3)).unwrap();
     assert!(grads.visible.is_empty());
+    // Without one in the settings it is the Gaussians' own, of which the last channels may be left out.
+    empty.background = vec![0.5, 0.25];
+    let (output, _) = CpuRasterizer.forward(&empty, &camera, &RenderSettings::default()).unwrap();
+    assert_eq!([0, 1, 2].map(|channel| output.image.plane(channel)[7]), [0.5, 0.25, 0.0]);
 
     // Gaussians that are not finite are culled, not smeared over the image.
     empty = random_scene(2, 3, 1);

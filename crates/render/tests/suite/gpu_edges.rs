@@ -39,6 +39,7 @@ fn more_pairs_than_32_bits_count_are_too_many() {
         colors: vec![0.5; 65_540],
         num_channels: 1,
         is_antialiased: false,
+        background: Vec::new(),
     };
     let error = GpuRasterizer::new(&gpu).forward(&scene, &wide(32_767), &RenderSettings::default()).unwrap_err();
     assert!(matches!(error, GpuError::Memory { .. } | GpuError::Unfit { .. }), "{error:?}");

@@ -104,6 +104,10 @@ fn nothing_to_draw_is_the_background() {
         }
         assert!(grads.activated.v_means.as_flattened().iter().all(|&v| v == 0.0));
     }
+    // Without one in the settings it is the Gaussians' own, of which the last channels may be left out.
+    let scene = Activated { background: vec![0.5, 0.25], ..random_scene(0, 3, 1) };
+    let (output, _) = rasterizer.forward(&scene, &camera, &RenderSettings::default()).unwrap();
+    assert_eq!([0, 1, 2].map(|channel| output.image.plane(channel)[7]), [0.5, 0.25, 0.0]);
 }
 
 #[test]

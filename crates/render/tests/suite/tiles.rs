@@ -108,6 +108,7 @@ fn no_gaussian_changes_a_tile_that_it_does_not_reach() {
             colors: vec![1.0],
             num_channels: 1,
             is_antialiased: false,
+            background: Vec::new(),
         };
         let is_outside = outside(&tiles_reached(&alone, &camera));
         let Ok((output, _)) = CpuRasterizer.forward(&alone, &camera, &settings);

@@ -383,7 +383,7 @@ fn read_parameters(arrays: &Arrays, first: Option<&Checkpoint>) -> Result<Parame
     let layout = match arrays.contains_key(BACKGROUND) {
         true => {
             let color = get::<u8>(arrays, BACKGROUND)?.first_chunk().copied();
-            layout.before(color.ok_or("background is no colour")?)
+            layout.with_background(color.ok_or("background is no colour")?)
         }
         false => layout,
     };

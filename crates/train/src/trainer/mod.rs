@@ -238,9 +238,9 @@ impl Trainer {
     ///
     /// # Errors
     /// [`TrainError::Gpu`] if the engine failed.
-    pub fn draw_before(&mut self, background: [u8; 3]) -> Result<(), TrainError> {
+    pub fn set_background(&mut self, background: [u8; 3]) -> Result<(), TrainError> {
         let gaussians = &mut self.solver.engine.state_mut()?.parameters.gaussians;
-        *gaussians = std::mem::take(gaussians).before(background);
+        *gaussians = std::mem::take(gaussians).with_background(background);
         Ok(())
     }
 

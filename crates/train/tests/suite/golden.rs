@@ -193,6 +193,7 @@ fn sensitivities_equal_the_reference() {
         colors: scene.get("colors"),
         num_channels: 3,
         is_antialiased: false,
+        background: Vec::new(),
     };
     // The vectors are with respect to activated values, so this repeats the stored-form function step by step.
     let mut sum = ActivatedGrads::default();

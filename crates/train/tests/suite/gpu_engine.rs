@@ -113,13 +113,15 @@ fn a_training_follows_that_on_the_cpu() {
 }
 
 #[test]
-fn an_antialiased_training_follows_that_on_the_cpu() {
+fn an_antialiased_training_before_a_background_follows_that_on_the_cpu() {
     let Some(gpu) = gpu() else { return };
     let losses = |make: &dyn Fn(State) -> Made, antialiased: bool| {
         let mut config = config(30, 10);
         config.gate.enabled = true;
         config.render.antialiased = antialiased;
-        fit(&mut trainer(&config, make), 0..2)
+        let mut trainer = trainer(&config, make);
+        trainer.set_background([118, 120, 103]).unwrap();
+        fit(&mut trainer, 0..2)
     };
     let [found, expected, other] = [losses(&on_gpu(&gpu), true), losses(&on_cpu, true), losses(&on_cpu, false)];
     let apart = |i: usize, expected: &[f64]| (found[i] - expected[i]).abs() / expected[i];

@@ -182,6 +182,7 @@ fn joined(a: &Activated, b: &Activated) -> Activated {
         colors: [&a.colors[..], &b.colors].concat(),
         num_channels: a.num_channels,
         is_antialiased: a.is_antialiased,
+        background: a.background.clone(),
     }
 }
 

@@ -96,6 +96,6 @@ fn antialiased_gaussians_have_a_comment_and_equal_ones_equal_bytes() {
     gaussians = gaussians.extended(&Layout::with_harmonics(1).antialiased(true));
     assert!(again(&gaussians).layout().is_antialiased());
     assert_eq!(written(&gaussians).len(), plain.len() + "comment SplatRenderMode: mip\n".len());
-    gaussians = gaussians.before([1, 20, 255]);
+    gaussians = gaussians.with_background([1, 20, 255]);
     assert_eq!(again(&gaussians).layout().background(), [1, 20, 255]);
 }

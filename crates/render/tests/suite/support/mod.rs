@@ -70,6 +70,7 @@ impl Arrays {
             colors: self.f32("colors"),
             num_channels: 3,
             is_antialiased: false,
+            background: Vec::new(),
         };
         (gaussians, camera(size[0] as usize, size[1] as usize, &k, &camera_from_world))
     }

@@ -175,7 +175,7 @@ impl GpuEngine {
         let uniform = StepUniform { slot: self.in_flight.slot() as u32, ..request.uniform };
         let layout = self.state.host().parameters.gaussians.layout();
         let is_antialiased = layout.is_antialiased();
-        let settings = RenderSettings::default().or_before(&layout.background_color());
+        let settings = RenderSettings::default().or_background(&layout.background_color());
         let (loaded, passes) = self.memory.ready();
         match &self.parts {
             Some(parts) => {
