@@ -45,7 +45,7 @@ pub struct SceneInfo {
     pub bounds_min: [f32; 3],
     /// Largest coordinates of all centres at all timesteps, scene units.
     pub bounds_max: [f32; 3],
-    /// Colour behind all Gaussians: red, green and blue, sRGB in [0, 1]. The Gaussians are to be drawn before it.
+    /// Colour behind all Gaussians: red, green and blue, sRGB in [0, 1]. The Gaussians are to be drawn on it.
     pub background: [f32; 3],
 }
 

@@ -65,7 +65,8 @@ impl CompactFile {
     /// Encodes a `.tcgs` file.
     ///
     /// - `version`: of the format, 1 or 2
-    /// - `data`: name and content of each piece of application data; light and background are added to them
+    /// - `data`: name and content of each piece of application data. Light and background come before them, unless they are
+    ///   among them
     ///
     /// # Errors
     /// [`CompressError::Unsupported`](crate::CompressError::Unsupported) if the version does not hold the scene; else
@@ -75,9 +76,11 @@ impl CompactFile {
         let light = (self.light != Light::default()).then(|| self.light.to_json());
         let background = self.layout().background();
         let background = (background != [0; 3]).then(|| crate::write_background(background));
-        let mut data = data.to_vec();
-        data.extend(light.as_deref().map(|json| (crate::LIGHT, json)));
-        data.extend(background.as_deref().map(|json| (crate::BACKGROUND, json)));
+        // A player looks for application data at the start of a file, and stops at the first large piece.
+        let own = [(crate::LIGHT, light.as_deref()), (crate::BACKGROUND, background.as_deref())];
+        let own = own.into_iter().filter_map(|(name, json)| Some((name, json?)));
+        let is_given = |name: &str| data.iter().any(|(given, _)| *given == name);
+        let data: Vec<_> = own.filter(|(name, _)| !is_given(name)).chain(data.iter().copied()).collect();
         match (version, &self.cohorts[..]) {
             (1, [only]) => crate::encode_with(only, &data),
             (1, _) => {
@@ -192,7 +195,7 @@ mod tests {
                 SceneFile::open(Cursor::new(file), &DecodeLimits::none(), SegmentCache::DEFAULT_BYTES).unwrap();
             assert_eq!(read.light().at(5), [1.0, 1.15, 0.5]);
             assert_eq!((read.at(4).unwrap(), read.layout()), (decoded.at(4), &lit.layout()));
-            assert_eq!(read.application_data().unwrap()[0], (other.0.to_owned(), other.1.to_vec()));
+            assert_eq!(read.application_data().unwrap()[2], (other.0.to_owned(), other.1.to_vec()));
             let plain = plain.encode(version, &[other]).unwrap();
             let plain = CompactFile::decode(&plain, &DecodeLimits::none()).unwrap();
             assert_eq!((plain.light, plain.cohorts[0].layout.background()), (Light::default(), [0; 3]));

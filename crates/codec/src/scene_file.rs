@@ -118,7 +118,7 @@ impl<R: Read + Seek> SceneFile<R> {
     /// # Errors
     /// - [`DecodeError::Io`] if the source cannot be read
     /// - [`DecodeError::Format`] if the source is not a `.tcgs` file, has another length than its header says, or is
-    ///   damaged before its segments
+    ///   damaged before its segments or in application data of at most 1 MiB
     /// - [`DecodeError::Version`] if the file is of another version
     /// - [`DecodeError::Limit`] if the file exceeds `limits`
     pub fn open(source: R, limits: &DecodeLimits, max_segment_bytes: usize) -> Result<Self, DecodeError> {
@@ -352,9 +352,10 @@ impl<R: Read + Seek> SceneFile<R> {
     /// If `timestep` is not below [`SceneInfo::num_timesteps`].
     pub fn at(&mut self, timestep: usize) -> Result<Gaussians, DecodeError> {
         let alive = self.cohorts_at(timestep);
-        let (background, mut parts) = (self.layout.background(), Vec::with_capacity(alive.len()));
+        let mut parts = Vec::with_capacity(alive.len());
         for cohort in alive {
-            parts.push(self.of_cohort(cohort, timestep)?.with_background(background));
+            // With the background, which the layouts of cohorts lack.
+            parts.push(self.of_cohort(cohort, timestep)?.extended(&self.layout));
         }
         if let [_] = &parts[..] {
             return Ok(parts.pop().expect("one part"));

@@ -321,7 +321,7 @@ impl<Role> Columns<Role> {
         self.values[4].as_chunks_mut().0
     }
 
-    /// The same Gaussians, drawn before a background ([`Layout::background`]).
+    /// The same Gaussians, drawn on a background ([`Layout::background`]).
     #[must_use]
     pub fn with_background(self, background: [u8; 3]) -> Self {
         Self { layout: self.layout.with_background(background), ..self }

@@ -206,7 +206,7 @@ impl Layout {
         self.is_antialiased
     }
 
-    /// The same columns, for Gaussians drawn before a background ([`Self::background`]).
+    /// The same columns, for Gaussians drawn on a background ([`Self::background`]).
     ///
     /// - `background`: red, green and blue, sRGB of 255
     #[must_use]
@@ -217,8 +217,8 @@ impl Layout {
         Arc::new(Self { background, ..Self::clone(self) })
     }
 
-    /// Colour behind all Gaussians: red, green and blue, sRGB of 255; black at first. Gaussians are to be drawn before
-    /// the background that they were trained before.
+    /// Colour behind all Gaussians: red, green and blue, sRGB of 255; black at first. Gaussians are to be drawn on
+    /// the background on which they were trained.
     pub fn background(&self) -> [u8; 3] {
         self.background
     }

@@ -260,10 +260,10 @@ impl PyScene {
         self.0.layout().is_antialiased()
     }
 
-    /// Colour behind all Gaussians: red, green and blue, sRGB of 255. The Gaussians are to be drawn before it.
+    /// Colour behind all Gaussians: red, green and blue, sRGB in [0, 1]. The Gaussians were trained on it.
     #[getter]
-    fn background(&self) -> (u8, u8, u8) {
-        self.0.layout().background().into()
+    fn background(&self) -> (f32, f32, f32) {
+        self.0.layout().background_color().into()
     }
 
     /// Highest degree of the spherical harmonics; 0 without any.

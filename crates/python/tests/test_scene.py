@@ -75,6 +75,11 @@ def test_every_kind_of_file_is_opened(run: Path, tmp_path: Path) -> None:
     exact = [tcgs.open(tmp_path / name).at(2) for name in ["params.npz", "plys"]]
     assert np.array_equal(exact[0].means, exact[1].means) and np.array_equal(exact[0].quats, exact[1].quats)
     compressed = tcgs.open(tmp_path / "scene.tcgs")
+    assert compressed.background == tcgs.open(tmp_path / "plys").background == scene.background != (0, 0, 0)
+    camera = next(iter(compressed.cameras.values()))
+    picture = tcgs.render(compressed, camera, backend="cpu")
+    assert np.array_equal(tcgs.render(compressed, camera, background=scene.background, backend="cpu"), picture)
+    assert not np.array_equal(tcgs.render(compressed, camera, background=[0, 0, 0], backend="cpu"), picture)
     assert len(compressed.cameras) == 8 and compressed.declared_errors["means"] > 0
     assert tcgs.open(TESTDATA / "interchange/original.ply").sh_degree == 3
     assert tcgs.open(TESTDATA / "interchange/original.ply", drop_sh=True, fps=12).fps == 12

@@ -14,7 +14,7 @@ use rand::seq::SliceRandom;
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use tcgs_codec::{CompactScene, Light, MAX_BITS, Quantizer, Tracks, locate};
-use tcgs_core::{Attribute, Camera, GaussianGrads, Image, View, activate, activate_bwd, seen_colors, seen_colors_bwd};
+use tcgs_core::{Attribute, GaussianGrads, View, activate, activate_bwd, seen_colors, seen_colors_bwd};
 use tcgs_render::{Rasterizer, RenderSettings};
 
 use crate::adam::BETA1;
@@ -130,11 +130,11 @@ impl Refiner {
     ) -> Result<f64, R::Error> {
         let light = &mut self.light[timestep];
         let [gain, offset] = self.cameras[camera].map(|values| values.map(|latent| latent.value));
-        let gain = std::array::from_fn(|channel| gain[channel] + light[channel].value);
-        let (loss, grads) = gradients(rasterizer, &self.scene, timestep, &view.camera, &view.image, [gain, offset])?;
+        let shown = Shown { timestep, light: light.map(|latent| latent.value), gain, offset };
+        let Gradients { loss, v_light, grads } = gradients(rasterizer, &self.scene, view, &shown)?;
         let decay = cosine(self.config.decay, progress);
-        for (light, v_gain) in light.iter_mut().zip(loss.v_gain) {
-            light.update(v_gain, GAIN_RATE * decay, f32::MIN_POSITIVE, &self.corrections);
+        for (light, v_light) in light.iter_mut().zip(v_light) {
+            light.update(v_light, GAIN_RATE * decay, f32::MIN_POSITIVE, &self.corrections);
         }
         self.center_light();
         if self.cameras_differ {
@@ -255,6 +255,24 @@ fn pieces<'a>(tracks: &'a mut Tracks<i16>, mut latents: &'a mut [Latent], length
         .collect()
 }
 
+/// How a timestep is shown to a camera: `exp(gain) * (exp(light) * Gaussians + background) + offset`.
+#[derive(Clone, Copy, Debug)]
+struct Shown {
+    timestep: usize,
+    light: [f32; 3],
+    gain: [f32; 3],
+    offset: [f32; 3],
+}
+
+/// The loss of a picture, with the gradient to gain and offset of the camera.
+struct Gradients {
+    loss: ImageLoss,
+    /// Gradient to the logarithm of the light.
+    v_light: [f32; 3],
+    /// Gradient to the values at the timestep.
+    grads: GaussianGrads,
+}
+
 /// Loss of a timestep's picture, and its gradient to the values at that timestep.
 ///
 /// A quaternion is interpolated, then divided by its length, which is 1 to within a percent: the gradient leaves out
@@ -262,12 +280,10 @@ fn pieces<'a>(tracks: &'a mut Tracks<i16>, mut latents: &'a mut [Latent], length
 fn gradients<R: Rasterizer>(
     rasterizer: &R,
     scene: &CompactScene,
-    timestep: usize,
-    camera: &Camera,
-    image: &Image,
-    [gain, offset]: [[f32; 3]; 2],
-) -> Result<(ImageLoss, GaussianGrads), R::Error> {
-    let gaussians = scene.at(timestep);
+    view: &View,
+    &Shown { timestep, light, gain, offset }: &Shown,
+) -> Result<Gradients, R::Error> {
+    let (gaussians, camera) = (scene.at(timestep), &view.camera);
     let has_harmonics = gaussians.layout().sh_degree() > 0;
     let mut drawn = activate(&gaussians);
     if has_harmonics {
@@ -280,15 +296,23 @@ fn gradients<R: Rasterizer>(
             }
         });
     }
+    // The light multiplies the whole picture, and is not to change the background.
+    drawn.background.iter_mut().zip(light).for_each(|(background, light)| *background /= light.exp());
     let settings = RenderSettings { statistic_channels: 0, ..RenderSettings::default() };
     let (output, saved) = rasterizer.forward(&drawn, camera, &settings)?;
-    let loss = image_loss(&output.image, image, gain, offset, 1.0, 0.0);
+    let whole = std::array::from_fn(|channel| gain[channel] + light[channel]);
+    let loss = image_loss(&output.image, &view.image, whole, offset, 1.0, 0.0);
+    let mut v_light = loss.v_gain;
+    for (channel, v_light) in v_light.iter_mut().enumerate().filter(|(channel, _)| drawn.background[*channel] > 0.0) {
+        let of_pixels = loss.v_image.plane(channel).iter().zip(&output.transmittance);
+        *v_light -= drawn.background[channel] * of_pixels.map(|(v, passed)| v * passed).sum::<f32>();
+    }
     let grads = rasterizer.backward(&drawn, camera, &settings, &saved, &loss.v_image)?;
     let mut v_gaussians = activate_bwd(&gaussians, &drawn, &grads.activated);
     if has_harmonics {
         seen_colors_bwd(&gaussians, camera, &mut v_gaussians);
     }
-    Ok((loss, v_gaussians))
+    Ok(Gradients { loss, v_light, grads: v_gaussians })
 }
 
 /// Share of a timestep's views that are trained on at one visit to it.
@@ -331,7 +355,7 @@ mod tests {
     use std::sync::Arc;
 
     use tcgs_codec::{BitMap, CompressSettings, SceneInfo, compress};
-    use tcgs_core::{Activated, BaseColumns, DynamicGaussians, Gaussians, Layout};
+    use tcgs_core::{Activated, BaseColumns, Camera, DynamicGaussians, Gaussians, Image, Layout};
     use tcgs_render::CpuRasterizer;
 
     use super::*;
@@ -388,17 +412,20 @@ mod tests {
     }
 
     #[test]
-    fn gradients_to_codes_match_central_differences() {
-        let scene = compact(6, 14);
+    fn gradients_to_codes_and_light_match_central_differences() {
+        let mut scene = compact(6, 14);
+        scene.layout = scene.layout.with_background([200, 0, 120]);
         // Brighter than anything drawn, away from the kink of L1.
         let image = Image::filled(48, 40, 3, 1.5);
         let timestep = 2;
         let correction = [[0.05, -0.1, 0.0], [0.01, 0.0, -0.02]];
-        let loss = |scene: &CompactScene| {
-            let Ok((loss, _)) = gradients(&CpuRasterizer, scene, timestep, &camera(), &image, correction);
-            loss.image
+        let view = View { camera: camera(), image, segmentation: None, frame: 0, camera_id: 0 };
+        let lit = |scene: &CompactScene, light: [f32; 3]| {
+            let [gain, offset] = correction;
+            let Ok(found) = gradients(&CpuRasterizer, scene, &view, &Shown { timestep, light, gain, offset });
+            found.loss.image
         };
-        let view = View { camera: camera(), image: image.clone(), segmentation: None, frame: 0, camera_id: 0 };
+        let loss = |scene: &CompactScene| lit(scene, [0.0; 3]);
         let config = RefineConfig { rate: 0.0, ..RefineConfig::default() };
         let mut refiner = Refiner::new(scene.clone(), &[correction], config);
         let Ok(_) = refiner.step(&CpuRasterizer, timestep, 0, &view, 0.0);
@@ -439,6 +466,14 @@ mod tests {
                     );
                 }
             }
+        }
+        for (channel, latent) in refiner.light[timestep].iter().enumerate() {
+            let moved = |by: f32| lit(&scene, std::array::from_fn(|c| if c == channel { by } else { 0.0 }));
+            let (difference, found) = ((moved(1e-2) - moved(-1e-2)) / 2e-2, f64::from(latent.first / (1.0 - BETA1)));
+            assert!(
+                (difference - found).abs() < 0.01 * difference.abs(),
+                "light: {difference:.3e} against {found:.3e}"
+            );
         }
         assert!(num_compared > 40, "{num_compared} codes are compared");
         assert!(num_shared > 5, "{num_shared} tracks lie between two keypoints");
@@ -501,7 +536,9 @@ mod tests {
 
     #[test]
     fn what_all_images_of_a_timestep_have_darker_becomes_light() {
-        let scene = compact(20, 12);
+        let mut scene = compact(20, 12);
+        // The light does not change what lies behind the Gaussians.
+        scene.layout = scene.layout.with_background([200, 0, 120]);
         // Their mean is 1: colours would learn the mean, and are not trained here.
         let dark = |t: usize| [-0.006, 0.0, 0.004].map(|slope: f32| (slope * (t as f32 - 4.0)).exp());
         let view = |t: usize| {

@@ -4,8 +4,8 @@ use rayon::prelude::*;
 use tcgs_core::{Camera, Gaussians, Image, Sensitivity, activate, activate_bwd, seen_colors, seen_colors_bwd};
 use tcgs_render::{Rasterizer, RenderSettings};
 
-/// `S(θ) = Σ_k |∂Q_k/∂θ| / Σ_k N_k`: `Q_k` the sum of all colour values of image `k` over black,
-/// unclamped, `N_k` its number of pixels.
+/// `S(θ) = Σ_k |∂Q_k/∂θ| / Σ_k N_k`: `Q_k` the sum of all colour values of image `k` on the
+/// background, unclamped, `N_k` its number of pixels.
 ///
 /// - `rasterizer`: renders, and takes gradients back
 /// - `gaussians`: `[N]`, stored form; the sensitivities are with respect to it

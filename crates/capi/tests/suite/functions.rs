@@ -74,6 +74,7 @@ fn timesteps_are_those_that_the_decoder_gives() {
         let scene = open_bytes(&bytes).unwrap();
         let info = info(scene);
         assert_eq!(info.num_timesteps, file.info().num_timesteps);
+        assert_eq!(info.background, file.layout().background_color());
         // The last timestep first, so that the order does not matter.
         for timestep in (0..info.num_timesteps).rev() {
             let expected = file.at(timestep as usize).unwrap();

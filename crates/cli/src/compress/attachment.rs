@@ -8,7 +8,7 @@ use tcgs_core::read_file;
 use crate::error::wrong_input;
 
 /// Data on which the format agrees, without the prefix of their names; all but sound are JSON.
-const AGREED: [&str; 8] = ["credits", "units", "light", "background", "paths", "labels", "sound", "times"];
+const AGREED: [&str; 7] = ["credits", "units", "light", "paths", "labels", "sound", "times"];
 /// The prefix, which is kept for the format.
 const PREFIX: &str = "tcgs.";
 /// Most bytes of the data of one name, which every reader of the file holds.

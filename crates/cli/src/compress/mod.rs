@@ -158,7 +158,7 @@ pub struct Arguments {
     #[arg(long, value_name = "N", default_value_t = 8)]
     views: usize,
     /// Put a file's content into the .tcgs file for other programs; may be repeated. NAME is credits, units, light,
-    /// background, paths, labels, sound or times (docs/FORMAT.md), or an application's own name
+    /// paths, labels, sound or times (docs/FORMAT.md), or an application's own name
     #[arg(long, value_name = "NAME=FILE")]
     attach: Vec<Attachment>,
     /// Keep in the file which Gaussians are foreground. A run knows it from the masks of its capture, a params.npz from

@@ -214,7 +214,7 @@ fn data_of_applications_go_in_and_come_out() {
         ("sound", "credits.json", "credits.json: no Ogg stream, expected Opus in Ogg"),
         ("credits", "absent.json", "absent.json: "),
         ("tcgs.views", "credits.json", "names that begin with tcgs."),
-        ("creditz", "credits.json", "expected credits, units, light, background, paths"),
+        ("creditz", "credits.json", "expected credits, units, light, paths"),
     ] {
         let message = fail(2, &[&compress[..], &["--attach", &attach(name, of)]].concat());
         assert!(message.contains(expected), "{name}: {message}");

@@ -56,7 +56,7 @@ fn comments(layout: &Layout) -> String {
 
 /// Reads the Gaussians of one PLY file, in stored form. The file is binary of either byte order, or ASCII; it has the
 /// properties of 3D Gaussian splatting, or is compressed. Unknown properties are ignored. Comments may say that the
-/// Gaussians are drawn with antialiasing ([`Layout::is_antialiased`]), and before which background.
+/// Gaussians are drawn with antialiasing ([`Layout::is_antialiased`]), and on which background.
 ///
 /// ```
 /// use tcgs_core::{Gaussians, Layout};

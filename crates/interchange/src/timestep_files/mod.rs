@@ -95,7 +95,7 @@ impl TimestepFiles {
             };
             axes.get_or_insert(of_file);
             let expected = first.get_or_insert_with(|| Arc::clone(&head.layout));
-            if head.layout != *expected {
+            if head.layout.with_background(expected.background()) != *expected {
                 let (found, expected, first) = (look(&head.layout), look(expected), files[0].display());
                 let problem = format!("has {found}, expected {expected} as in {first}");
                 return Err(InterchangeError::File { path: file.clone(), problem });
@@ -197,6 +197,7 @@ impl TimestepFiles {
     pub fn at(&self, timestep: usize) -> Result<Gaussians, InterchangeError> {
         let file = &self.files[timestep];
         let (gaussians, replaced) = read_and_count(file, self.settings)?;
+        let gaussians = gaussians.with_background(self.layout.background());
         let (found, expected) = (gaussians.num_gaussians(), self.numbers[timestep]);
         if found != expected || gaussians.layout() != &self.layout {
             let (look_found, look_expected) = (look(gaussians.layout()), look(&self.layout));

@@ -93,8 +93,8 @@ impl Comparison {
 pub fn compare(file: &OpenScene, source: &OpenScene, observer: &mut dyn Observer) -> Result<Comparison, PipelineError> {
     let (layout, num_timesteps) = (SceneReader::layout(file).clone(), file.num_timesteps());
     let expected_as = |what: String| format!("{what} as {}", file.path.display());
-    // The layout of a file without Gaussians carries no information.
-    if *SceneReader::layout(source) != layout && file.num_identities() != Some(0) {
+    // The layout of a file without Gaussians carries no information, and a background is no attribute.
+    if SceneReader::layout(source).with_background(layout.background()) != layout && file.num_identities() != Some(0) {
         let found = format!("has the columns {}", SceneReader::layout(source));
         return Err(PipelineError::input(source.path.display(), found, expected_as(layout.to_string())));
     }
@@ -114,7 +114,7 @@ pub fn compare(file: &OpenScene, source: &OpenScene, observer: &mut dyn Observer
         num_pruned: [usize::MAX, 0],
     };
     for timestep in 0..num_timesteps {
-        let (original, decoded) = (source.at(timestep)?, file.at(timestep)?);
+        let (original, decoded) = (source.at(timestep)?.with_background(layout.background()), file.at(timestep)?);
         let num_decoded = decoded.num_gaussians();
         if num_decoded > 0 {
             let pairs = bounds.pairs(&original, &decoded, &before);

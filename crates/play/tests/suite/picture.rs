@@ -4,7 +4,7 @@
 use std::io::Write;
 
 use crate::support::{cohorts_file, room_file, scenes, settings, wait};
-use tcgs_codec::{BitMap, CompressSettings, SceneInfo, UpAxis, compress, encode};
+use tcgs_codec::{BitMap, CompactFile, CompressSettings, DecodeLimits, SceneInfo, UpAxis, compress, encode};
 use tcgs_core::{Attribute, Camera, Drawable, DynamicGaussians, Layout};
 use tcgs_play::{
     BytesSource, ErrorCode, Moment, PictureRequest, Player, Reconstruction, SegmentRenderer, Viewer, start_view,

@@ -232,13 +232,22 @@ impl Trainer {
         }
     }
 
-    /// Before the first timestep: sets the colour behind all Gaussians.
+    /// Sets the colour behind all Gaussians, black without it. `render.background` asks the caller to do so, with the
+    /// colour of the images' borders.
     ///
     /// - `background`: red, green and blue, sRGB of 255
     ///
     /// # Errors
+    /// [`TrainError::Input`] after the first timestep, and if the run continues another one's state;
     /// [`TrainError::Gpu`] if the engine failed.
     pub fn set_background(&mut self, background: [u8; 3]) -> Result<(), TrainError> {
+        if self.phase() != Phase::First {
+            return Err(TrainError::Input {
+                what: "the background".into(),
+                found: format!("a new one at timestep {}", self.timesteps()),
+                expected: "one before the first timestep".into(),
+            });
+        }
         let gaussians = &mut self.solver.engine.state_mut()?.parameters.gaussians;
         *gaussians = std::mem::take(gaussians).with_background(background);
         Ok(())

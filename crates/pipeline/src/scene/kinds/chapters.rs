@@ -179,7 +179,8 @@ fn check_gaussians(first: &OpenScene, scene: &OpenScene) -> Result<(), PipelineE
 fn first_difference(first: &Gaussians, other: &Gaussians) -> Option<String> {
     let [a, b]: [&Layout; 2] = [first.layout(), other.layout()];
     if a != b {
-        return Some("columns".into());
+        let is_background = a.background() != b.background();
+        return Some(if is_background { "background" } else { "columns" }.into());
     }
     let bits = |gaussians: &Gaussians, attribute| -> Vec<u32> {
         gaussians.values(attribute).iter().map(|x| x.to_bits()).collect()
