@@ -61,6 +61,8 @@ typedef struct TcgsSceneInfo {
   float bounds_min[3];
   // Largest coordinates of all centres at all timesteps, scene units.
   float bounds_max[3];
+  // Colour behind all Gaussians: red, green and blue, sRGB in [0, 1]. The Gaussians are to be drawn on it.
+  float background[3];
 } TcgsSceneInfo;
 
 // The caller's arrays for the Gaussians of one timestep, each of `capacity` rows. NULL for an array that is not

@@ -65,8 +65,8 @@ impl CompactFile {
     /// Encodes a `.tcgs` file.
     ///
     /// - `version`: of the format, 1 or 2
-    /// - `data`: name and content of each piece of application data. Light and background come before them, unless they are
-    ///   among them
+    /// - `data`: name and content of each piece of application data. Light and background come before them, unless
+    ///   they are among them
     ///
     /// # Errors
     /// [`CompressError::Unsupported`](crate::CompressError::Unsupported) if the version does not hold the scene; else

@@ -25,7 +25,7 @@ pub struct Activated {
     /// its determinants before and after it is widened by a pixel's extent. So small splats do not grow beyond their
     /// own area (Yu et al. 2024, Mip-Splatting, Eq. 10).
     pub is_antialiased: bool,
-    /// `[num_channels]`, or fewer: what lies behind all Gaussians. The channels that are left out are 0, which is black.
+    /// `[num_channels]` or fewer: colour behind all Gaussians. Channels that are left out are 0, which is black.
     pub background: Vec<f32>,
 }
 

@@ -11,7 +11,7 @@
 //! | `cam_m`, `cam_c` | `(50, 3)`: image = exp(cam_m) * render + cam_c | [`ParamsExtras`], written only |
 //! | `tcgs_first_frame`, `tcgs_downscale`, `tcgs_frame_rate` | `(1,)` each, ours alone, optional | [`ParamsOrigin`] |
 //! | `tcgs_antialiased` | `(1,)`: 1, ours alone, of antialiased scenes | [`Layout::is_antialiased`](tcgs_core::Layout::is_antialiased) |
-//! | `tcgs_background` | `(3,)`: red, green and blue of 255, ours alone, unless black | [`Layout::background`](tcgs_core::Layout::background) |
+//! | `tcgs_background` | `(3,)`: red, green, blue of 255, ours alone, unless black | [`Layout::background`](tcgs_core::Layout) |
 //!
 //! The format has no field for the frame of the capture that its first timestep shows. Other programs number the
 //! timesteps from 0 and ignore the arrays whose names begin with `tcgs_`: a scene of the frames 7 to 9 has the

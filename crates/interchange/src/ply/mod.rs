@@ -42,7 +42,7 @@ use self::vertex::{PROPERTIES, REQUIRED, Vertex};
 use crate::stored::{Head, checked, color_from_sh0, sh0_from_color};
 use crate::{Axes, HigherHarmonics, InterchangeError, ReadSettings};
 
-/// What a comment begins with that says the colour behind all Gaussians.
+/// Start of a comment with the colour behind all Gaussians.
 const BACKGROUND: &str = "tcgs background ";
 
 /// The comments of a header that say how Gaussians are drawn.
