@@ -30,7 +30,7 @@ fn the_foreground_survives_compression() {
     let extras = ParamsExtras { foreground: Some(&foreground), ..ParamsExtras::default() };
     write_params_npz(&params, &scene, &extras).unwrap();
     let (of_params, remarks) = exported(&params, &path("again.npz"));
-    assert!(of_params.iter().all(|&count| count > 5) && !remarks.contains("background"), "{of_params:?} {remarks}");
+    assert!(of_params.iter().all(|&count| count > 5) && !remarks.contains("marked"), "{of_params:?} {remarks}");
     assert_eq!(read_params_foreground(&path("again.npz"), ReadLimits::default()).unwrap(), Some(foreground));
 
     let (plain, kept) = (path("plain.tcgs"), path("kept.tcgs"));

@@ -113,15 +113,13 @@ fn a_training_follows_that_on_the_cpu() {
 }
 
 #[test]
-fn an_antialiased_training_before_a_background_follows_that_on_the_cpu() {
+fn an_antialiased_training_follows_that_on_the_cpu() {
     let Some(gpu) = gpu() else { return };
     let losses = |make: &dyn Fn(State) -> Made, antialiased: bool| {
         let mut config = config(30, 10);
         config.gate.enabled = true;
         config.render.antialiased = antialiased;
-        let mut trainer = trainer(&config, make);
-        trainer.set_background([118, 120, 103]).unwrap();
-        fit(&mut trainer, 0..2)
+        fit(&mut trainer(&config, make), 0..2)
     };
     let [found, expected, other] = [losses(&on_gpu(&gpu), true), losses(&on_cpu, true), losses(&on_cpu, false)];
     let apart = |i: usize, expected: &[f64]| (found[i] - expected[i]).abs() / expected[i];
@@ -132,6 +130,24 @@ fn an_antialiased_training_before_a_background_follows_that_on_the_cpu() {
     assert!(near < 1e-4 && far > 5e-3, "{near} from the CPU's, {far} from one without antialiasing");
     let later = mean(&found[30..]) / mean(&expected[30..]);
     assert!((later - 1.0).abs() < 0.02, "losses of the second timestep are {later} times the CPU's");
+}
+
+#[test]
+fn a_training_on_a_background_follows_that_on_the_cpu() {
+    let Some(gpu) = gpu() else { return };
+    let losses = |make: &dyn Fn(State) -> Made, background: [u8; 3]| {
+        let mut trainer = trainer(&config(2, 2), make);
+        trainer.set_background(background).unwrap();
+        fit(&mut trainer, 0..1)
+    };
+    let gray = [118, 120, 103];
+    let [found, expected] = [losses(&on_gpu(&gpu), gray), losses(&on_cpu, gray)];
+    let other = losses(&on_cpu, [0; 3]);
+    // The second loss shows the gradients.
+    for i in 0..2 {
+        let apart = |other: &[f64]| (found[i] - other[i]).abs() / found[i];
+        assert!(apart(&expected) < 1e-4 && apart(&other) > 5e-3, "loss {i}: {found:?}, {expected:?}, {other:?}");
+    }
 }
 
 #[test]

@@ -182,7 +182,7 @@ fn joined(a: &Activated, b: &Activated) -> Activated {
         colors: [&a.colors[..], &b.colors].concat(),
         num_channels: a.num_channels,
         is_antialiased: a.is_antialiased,
-        background: a.background.clone(),
+        background: b.background.clone(),
     }
 }
 
@@ -218,7 +218,9 @@ fn both_engines_train_a_part_alike() {
     let Some(gpu) = gpu() else { return };
     for channels in [3, 5] {
         for (n, num_active) in [(1, 1), (90, 40), (600, 300)] {
-            let start = with_past(state(n, 3, |i| i % 3 != 0));
+            let mut start = with_past(state(n, 3, |i| i % 3 != 0));
+            let gaussians = &mut start.parameters.gaussians;
+            *gaussians = std::mem::take(gaussians).with_background([90, 140, 200]);
             for which in [Tiles::Scattered, Tiles::Rectangle] {
                 let name = format!("{n} rows, {channels} channels, {which:?}");
                 compare(&name, &gpu, &start, channels, num_active, which, &CAMERAS);
