@@ -21,6 +21,6 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """All Gaussians are there from the first timestep on, so that every format holds the scene."""
     folder = tmp_path_factory.mktemp("data") / "run"
-    settings = {"births.enabled": False}
+    settings = {"births.enabled": False, "render.background": True}
     tcgs.train(capture, folder, preset="fast", iterations=(200, 50), settings=settings, backend="cpu", progress=False)
     return folder

@@ -362,7 +362,11 @@ fn every_protocol_has_its_names_and_lpips_where_there_are_weights() {
 fn a_file_is_drawn_as_its_training_drew() {
     let folder = tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
-    let run = train(&folder, "run", &["--set", "render.antialiased=true", "--frames", "0..2"]);
+    let run = train(
+        &folder,
+        "run",
+        &["--set", "render.antialiased=true", "--set", "render.background=true", "--frames", "0..2"],
+    );
     // A resumed run keeps the setting that it reads from the disk.
     let resumed = ["train", text(capture()), "--out", text(&run), "--resume", "--frames", "0..3"];
     succeed(&[&resumed[..], &["--iterations", "30,10"], &["--set", "births.enabled=false"]].concat());

@@ -10,7 +10,8 @@ const LOG_SCALE_RATE: f32 = 0.005;
 /// Weight of the loss on stillness (`weights.stillness`) if the capture does not label motion.
 const STILLNESS: f32 = 0.5;
 
-/// The settings of a preset, adapted to a capture: its frames and frame rate. Losses without data in the capture (a
+/// The settings of a preset, adapted to a capture: its frames and frame rate. A capture of one frame has a background
+/// of its own, unless a preset repeats a publication. Losses without data in the capture (a
 /// floor, masks) are off. If no masks label motion, the loss `weights.stillness` holds unchanged content.
 ///
 /// - returns: settings whose `data.capture` is still empty
@@ -20,6 +21,8 @@ pub fn settings_for(preset: Preset, capture: &Capture) -> TrainConfig {
     config.data.layout = capture.kind().name.into();
     (config.data.first_frame, config.data.end_frame) = (frames.start, frames.end);
     config.data.frame_rate = capture.frame_rate();
+    // What moves uncovers places. On a background like the surroundings these show smaller errors, and stay as they are.
+    config.render.background = frames.len() == 1 && matches!(config.preset, Preset::Default | Preset::Fast);
     if !facts.has_floor {
         config.weights.floor = 0.0;
     }

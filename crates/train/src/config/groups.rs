@@ -260,7 +260,8 @@ pub struct RenderConfig {
     /// continues another scene follows that scene. Reference false; default true.
     pub antialiased: bool,
     /// Whether what lies behind all Gaussians has the colour that images have at their borders, instead of black. A run
-    /// that continues another scene follows that scene. Reference false; default true.
+    /// that continues another scene follows that scene. Reference false; default false, and true for captures of one
+    /// frame.
     pub background: bool,
 }
 

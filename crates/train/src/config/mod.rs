@@ -221,7 +221,7 @@ impl TrainConfig {
                 config.densify.prune_opacity_end = DensifyConfig::PRUNE_OPACITY;
                 // Antialiased splats have larger gradients.
                 config.densify.gradient_threshold = 3e-4;
-                config.render = RenderConfig { antialiased: true, background: true };
+                config.render.antialiased = true;
                 (config.densify.reset, config.densify.prune_large) = (0, 0);
                 config.gate = GateConfig::ON;
                 config.births = BirthConfig::ON;

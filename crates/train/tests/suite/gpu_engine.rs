@@ -136,7 +136,7 @@ fn an_antialiased_training_follows_that_on_the_cpu() {
 fn a_training_on_a_background_follows_that_on_the_cpu() {
     let Some(gpu) = gpu() else { return };
     let losses = |make: &dyn Fn(State) -> Made, background: [u8; 3]| {
-        let mut trainer = trainer(&config(2, 2), make);
+        let mut trainer = trainer(&config(30, 10), make);
         trainer.set_background(background).unwrap();
         fit(&mut trainer, 0..1)
     };
