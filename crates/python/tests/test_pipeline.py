@@ -80,7 +80,7 @@ def test_progress_is_told_in_order(capture: Path, tmp_path: Path) -> None:
 
 def test_a_callback_ends_a_training_that_can_be_resumed(capture: Path, run: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
-    options = {**TRAIN, "settings": {"births.enabled": False}}
+    options = {**TRAIN, "settings": {"births.enabled": False, "render.background": True}}
 
     def stop(progress: tcgs.Progress) -> None:
         if progress.psnr is not None:
