@@ -11,7 +11,7 @@ use tcgs_core::{Image, PointCloud};
 use tcgs_render::{CpuRasterizer, Rasterizer, RenderSettings};
 use tcgs_train::engine::cpu::{CpuEngine, drawn};
 use tcgs_train::engine::{Engine, Step, Target};
-use tcgs_train::{Parameters, Phase, Schedule, State, TrainConfig};
+use tcgs_train::{Dropout, Parameters, Phase, Schedule, State, TrainConfig};
 
 const NUM_GAUSSIANS: usize = 100_000;
 
@@ -79,6 +79,7 @@ fn basketball(criterion: &mut Criterion) {
             weights: &config.weights,
             mask: &config.mask,
             counts_gradients: true,
+            dropout: Dropout::default(),
             moves_gaussians: true,
         };
         group.bench_function("losses and gradients of an iteration", |b| {

@@ -10,6 +10,7 @@
 mod adam;
 mod checkpoint;
 mod config;
+mod dropout;
 pub mod engine;
 mod error;
 mod fake_quant;
@@ -37,6 +38,7 @@ pub use config::{
     BirthConfig, BitMapKind, ColorConfig, ConfigError, DataConfig, DeathConfig, DensifyConfig, GateConfig, MaskConfig,
     Preset, QuantizeConfig, REFERENCE_ITERATIONS, RateConfig, RenderConfig, ScheduleConfig, TrainConfig,
 };
+pub use dropout::Dropout;
 pub use error::TrainError;
 pub use fake_quant::{FakeQuantizers, bit_settings, fake_quant, fake_quant_vjp, step_gradient_scale};
 pub use gate::{GateRecord, Trained};

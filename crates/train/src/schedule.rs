@@ -4,6 +4,10 @@
 use tcgs_core::{Column, RateGroup};
 
 use crate::config::{REFERENCE_ITERATIONS, TrainConfig};
+use crate::dropout::Dropout;
+
+/// Most training cameras of a scene whose Gaussians are left out at random.
+const FEW_CAMERAS: usize = 9;
 
 /// Learning rate of the young for columns that are constant over time, relative to that of the newborn. These columns
 /// also change how the timesteps since their birth look.
@@ -164,6 +168,17 @@ impl Schedule {
         }
     }
 
+    /// What an iteration leaves out: a share that rises linearly, in the first timestep of few cameras.
+    ///
+    /// - `num_cameras`: training cameras
+    pub fn dropout(&self, phase: Phase, iteration: usize, num_cameras: usize) -> Dropout {
+        if phase != Phase::First || num_cameras > FEW_CAMERAS {
+            return Dropout::default();
+        }
+        let progress = iteration as f32 / self.iterations(phase) as f32;
+        Dropout { share: self.config.densify.dropout * progress, draw: iteration as u32 }
+    }
+
     /// Whether quantisation starts at this iteration.
     pub fn starts_quantization(&self, iteration: usize) -> bool {
         self.config.quantize.enabled
@@ -205,6 +220,10 @@ mod tests {
         assert!(s.starts_quantization(900));
         assert!((s.rates(Phase::First, 0).mask - 0.01 * 10.0 / 1.5).abs() < 1e-6);
         assert!((s.rates(Phase::Rest, 0).mean - 3.2e-4 * 20.0 / 3.0).abs() < 1e-8);
+        assert_eq!(s.dropout(Phase::First, 750, 9), Dropout { share: 0.1, draw: 750 });
+        for (phase, num_cameras) in [(Phase::First, 10), (Phase::Rest, 9), (Phase::Birth, 9)] {
+            assert_eq!(s.dropout(phase, 100, num_cameras), Dropout::default());
+        }
         assert!(s.rates(Phase::Rest, 299).mean < 0.05 * s.rates(Phase::Rest, 0).mean);
     }
 }

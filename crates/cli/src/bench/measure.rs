@@ -7,7 +7,7 @@ use tcgs_core::{Activated, Camera, Image, activate};
 use tcgs_pipeline::Backend;
 use tcgs_render::{CpuRasterizer, Laps, PairCounts, RenderSettings, StageTimes};
 use tcgs_train::engine::{Scenery, Step};
-use tcgs_train::{Phase, Rates, Schedule, State, TrainConfig};
+use tcgs_train::{Dropout, Phase, Rates, Schedule, State, TrainConfig};
 
 use super::part::Part;
 use super::scene::BenchScene;
@@ -229,6 +229,7 @@ fn iterate(backend: &Backend, case: Case<'_>, counts: Counts) -> anyhow::Result<
         weights: &config.weights,
         mask: &config.mask,
         counts_gradients: phase == Phase::First,
+        dropout: Dropout::default(),
         moves_gaussians: true,
     };
     let mut engine = backend.engine(state);

@@ -29,7 +29,7 @@ const RATE: Bounds = Number(0.0, 1e38);
 const WEIGHT: Bounds = Number(0.0, FACTOR);
 
 /// Every setting by its dotted name, in the order of `config.toml`.
-const BOUNDS: [(&str, Bounds); 73] = [
+const BOUNDS: [(&str, Bounds); 74] = [
     ("preset", Any),
     ("seed", Any),
     ("data.capture", Any),
@@ -77,6 +77,8 @@ const BOUNDS: [(&str, Bounds); 73] = [
     ("densify.reset", Whole(0, ITERATIONS)),
     ("densify.prune_large", Whole(0, ITERATIONS)),
     ("densify.prune_error", Number(0.0, FACTOR)),
+    // Below 1: some are left.
+    ("densify.dropout", Number(0.0, 0.9)),
     ("mask.enabled", Any),
     // A mask of 1 is never reached.
     ("mask.threshold", Number(0.0, 0.999)),

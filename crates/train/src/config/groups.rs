@@ -113,6 +113,9 @@ pub struct DensifyConfig {
     /// most of it back. In a schedule of fewer than 1000 iterations the share is smaller in proportion. 0: none are
     /// removed. Reference 0; default 1.
     pub prune_error: f32,
+    /// Share of the Gaussians that an iteration of the first timestep leaves out at random if there are at most nine
+    /// training cameras. It rises from 0 to this. Reference 0; default 0.2.
+    pub dropout: f32,
 }
 
 impl DensifyConfig {

@@ -168,6 +168,7 @@ impl TrainConfig {
                 reset: 3000,
                 prune_large: 3000,
                 prune_error: 0.0,
+                dropout: 0.0,
             },
             mask: MaskConfig { enabled: true, threshold: 0.01, initial_logit: 1.0, reset: false, prune_end: 10_000 },
             quantize: QuantizeConfig {
@@ -218,6 +219,7 @@ impl TrainConfig {
                 config.mask.enabled = false;
                 config.mask.prune_end = 6000;
                 config.densify.prune_error = 1.0;
+                config.densify.dropout = 0.2;
                 config.densify.prune_opacity_end = DensifyConfig::PRUNE_OPACITY;
                 // Antialiased splats have larger gradients.
                 config.densify.gradient_threshold = 3e-4;

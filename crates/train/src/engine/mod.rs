@@ -20,6 +20,7 @@ use tcgs_render::StageTimes;
 
 use crate::TrainError;
 use crate::config::MaskConfig;
+use crate::dropout::Dropout;
 use crate::losses::{LossTerms, WeightConfig};
 use crate::schedule::Rates;
 use crate::state::State;
@@ -70,6 +71,8 @@ pub struct Step<'a> {
     pub mask: &'a MaskConfig,
     /// Whether to count gradients for densification.
     pub counts_gradients: bool,
+    /// The Gaussians that are left out; none where a part of the scene is trained.
+    pub dropout: Dropout,
     /// Whether Gaussians and masks move; cameras and quantizers always do. False where Gaussians are
     /// replaced right after: the new ones have no gradient.
     pub moves_gaussians: bool,

@@ -208,6 +208,7 @@ impl Solver {
             weights: &iterations.weights,
             mask: &self.config.mask,
             counts_gradients: asked.counts_gradients,
+            dropout: self.schedule.dropout(iterations.phase, iteration, iterations.cameras.len()),
             moves_gaussians: asked.moves_gaussians,
         };
         self.engine.step(&step)?;

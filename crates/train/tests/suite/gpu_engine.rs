@@ -11,7 +11,7 @@ use tcgs_render::gpu::Gpu;
 use tcgs_train::engine::cpu::CpuEngine;
 use tcgs_train::engine::gpu::GpuEngine;
 use tcgs_train::engine::{Engine, Step, Target};
-use tcgs_train::{Checkpoint, Parameters, Phase, Preset, Schedule, State, TrainConfig, Trainer};
+use tcgs_train::{Checkpoint, Dropout, Parameters, Phase, Preset, Schedule, State, TrainConfig, Trainer};
 use tempfile::TempDir;
 
 fn capture() -> &'static Capture {
@@ -190,6 +190,7 @@ fn an_iteration_with_a_clock_is_an_iteration() {
         weights: &config.weights,
         mask: &config.mask,
         counts_gradients: true,
+        dropout: Dropout::default(),
         moves_gaussians: true,
     };
     let run = |mut engine: Made, is_timed: fn(usize) -> bool| {

@@ -8,7 +8,7 @@ use tcgs_render::{TileMask, tiles_reached};
 use tcgs_train::engine::cpu::{CpuEngine, drawn};
 use tcgs_train::engine::gpu::GpuEngine;
 use tcgs_train::engine::{Engine, Scenery, Step, Target, ViewScenery};
-use tcgs_train::{LossTerms, Phase, Rates, Row, Schedule, State, TrainConfig, WeightConfig};
+use tcgs_train::{Dropout, LossTerms, Phase, Rates, Row, Schedule, State, TrainConfig, WeightConfig};
 
 const SIZES: [[usize; 2]; 3] = [[75, 52], [120, 40], [33, 90]];
 
@@ -19,7 +19,15 @@ fn rates(config: &TrainConfig) -> Rates {
 
 fn step<'a>(camera: usize, config: &'a TrainConfig) -> Step<'a> {
     let (weights, mask) = (&config.weights, &config.mask);
-    Step { camera, rates: rates(config), weights, mask, counts_gradients: false, moves_gaussians: true }
+    Step {
+        camera,
+        rates: rates(config),
+        weights,
+        mask,
+        counts_gradients: false,
+        dropout: Dropout::default(),
+        moves_gaussians: true,
+    }
 }
 
 fn run(

@@ -20,6 +20,7 @@ use self::stage::Stage;
 use super::{Engine, Scenery, Step, Target};
 use crate::TrainError;
 use crate::config::MaskConfig;
+use crate::dropout::Dropout;
 use crate::losses::{LossTerms, WeightConfig};
 use crate::mask::{mask, mask_consistency_loss, mask_loss, mask_vjp};
 use crate::parameters::Parameters;
@@ -190,21 +191,28 @@ impl CpuEngine {
     fn timed_forward_backward(&mut self, step: &Step<'_>, laps: &mut Laps) -> (LossTerms, StepGrads) {
         let target = &self.targets[step.camera];
         let with_segmentation = target.image.num_channels == 5;
-        let DrawnChain { quantized, drawn, unmasked } =
+        let DrawnChain { quantized, mut drawn, mut unmasked } =
             chain(&self.state, step.mask, with_segmentation, Some(&target.camera));
         let p = &self.state.parameters;
+        if step.dropout.share > 0.0 {
+            unmasked.get_or_insert_with(|| (drawn.scales.clone(), drawn.opacities.clone()));
+            drop_out(&mut drawn.opacities, step.dropout);
+        }
         laps.lap("activate");
-        let (loss, grads) = match &mut self.staged {
+        let (loss, mut grads) = match &mut self.staged {
             Some(staged) => staged.views[step.camera].render(&drawn, target, p, step, &mut self.v_image, laps),
             None => render_whole(&drawn, target, p, step, laps),
         };
         if step.counts_gradients {
             count_gradients(&grads, &mut self.state.statistic);
         }
+        if step.dropout.share > 0.0 {
+            drop_out(&mut grads.activated.v_opacities, step.dropout);
+        }
 
         let mut terms = LossTerms { image: loss.image, segmentation: loss.segmentation, ..LossTerms::default() };
         let mut v_activated = colors_alone(grads.activated, drawn.num_channels);
-        // Drawing is over: from here on scales and opacities are those before the mask.
+        // Drawing is over: from here on scales and opacities are those before the mask and without dropout.
         let activated = match unmasked {
             Some((scales, opacities)) => Activated { scales, opacities, ..drawn },
             None => drawn,
@@ -396,6 +404,11 @@ pub(crate) fn center(rows: &mut [[f32; 3]]) {
     let share = 1.0 / rows.len() as f32;
     let mean: [f32; 3] = std::array::from_fn(|channel| share * rows.iter().map(|row| row[channel]).sum::<f32>());
     rows.iter_mut().for_each(|row| *row = std::array::from_fn(|channel| row[channel] - mean[channel]));
+}
+
+/// Multiplies each Gaussian's opacity, or the gradient to it, by its factor.
+fn drop_out(opacities: &mut [f32], dropout: Dropout) {
+    opacities.par_iter_mut().enumerate().with_min_len(CHUNK).for_each(|(i, x)| *x *= dropout.factor(i as u32));
 }
 
 /// Render settings of an iteration: the densification statistic is computed only if it is counted.

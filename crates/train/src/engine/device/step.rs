@@ -75,6 +75,10 @@ pub struct StepUniform {
     pub mask_threshold: f32,
     /// Smallest share of its initial value to which a quantizer's step may fall.
     pub step_min_share: f32,
+    /// Share of the Gaussians that are left out.
+    pub drop_share: f32,
+    /// Number of the draw that chooses them.
+    pub drop_draw: u32,
     /// [`WeightConfig::values`]; `floor` is 0 without segmentation.
     pub weights: [f32; Loss::ALL.len()],
 }
@@ -200,6 +204,8 @@ impl StepUniform {
             eye_z,
             mask_threshold: step.mask.threshold,
             step_min_share: MIN_STEP_SHARE,
+            drop_share: step.dropout.share,
+            drop_draw: step.dropout.draw,
             weights: WeightConfig { floor, ..*step.weights }.values(),
         }
     }
@@ -298,6 +304,7 @@ mod tests {
 
     use super::*;
     use crate::config::TrainConfig;
+    use crate::dropout::Dropout;
     use crate::parameters::Parameters;
     use crate::schedule::{Phase, Schedule};
 
@@ -317,7 +324,15 @@ mod tests {
         config.mask.enabled = true;
         let rates = Schedule::new(&config, 1.0).rates(Phase::First, 0);
         let (weights, mask) = (&config.weights, &config.mask);
-        let step = Step { camera: 0, rates, weights, mask, counts_gradients: false, moves_gaussians: true };
+        let step = Step {
+            camera: 0,
+            rates,
+            weights,
+            mask,
+            counts_gradients: false,
+            dropout: Dropout::default(),
+            moves_gaussians: true,
+        };
         let counted = count_updates(&step, &packing, &mut state);
         assert_eq!((counted.len(), &state.optimizer.steps[..]), (11, &[1; 6][..]));
         for (group, rate) in [(0, rates.mean), (4, rates.color), (6, rates.mask), (7, rates.camera)] {

@@ -26,6 +26,8 @@ struct Step {
     eye_z: f32,
     mask_threshold: f32,
     step_min_share: f32,
+    drop_share: f32,
+    drop_draw: u32,
     WEIGHTS
     adam: array<vec4<f32>, ADAM_GROUPS>,
 }

@@ -114,6 +114,7 @@ mod tests {
     use tcgs_core::{ActivatedGrads, Attribute, Gaussians, Layout, activate, activate_bwd};
 
     use super::*;
+    use crate::dropout::Dropout;
     use crate::engine::device::StepUniform;
     use crate::engine::gpu::test_support::{
         QuantizerTables, assert_close, gpu, random, random_gaussians, random_rows, run, uniform,
@@ -166,7 +167,7 @@ mod tests {
         }
 
         /// As the CPU engine draws.
-        fn drawn(&self, flags: u32) -> [Vec<f32>; 5] {
+        fn drawn(&self, flags: u32, dropout: Dropout) -> [Vec<f32>; 5] {
             let mut drawn = activate(&self.stored(flags));
             if flags & StepUniform::MASKED != 0 {
                 for (i, &logit) in self.mask_logits.iter().enumerate() {
@@ -175,6 +176,7 @@ mod tests {
                     drawn.opacities[i] *= m;
                 }
             }
+            drawn.opacities.iter_mut().enumerate().for_each(|(i, opacity)| *opacity *= dropout.factor(i as u32));
             let colors = drawn.colors.chunks(3).zip(&self.foreground).flat_map(|(color, &f)| {
                 let segmentation = [f32::from(u8::from(f)), f32::from(u8::from(!f))];
                 let shown = if flags & StepUniform::SEGMENTED != 0 { 2 } else { 0 };
@@ -190,7 +192,7 @@ mod tests {
         }
 
         /// Gradients by attribute, then of mask logits, and the two losses.
-        fn grads(&self, flags: u32, v: &[f32]) -> ([Vec<f32>; 6], [f64; 2]) {
+        fn grads(&self, flags: u32, dropout: Dropout, v: &[f32]) -> ([Vec<f32>; 6], [f64; 2]) {
             let n = self.mask_logits.len();
             let stored = self.stored(flags);
             let activated = activate(&stored);
@@ -202,6 +204,7 @@ mod tests {
                 v_opacities: v[10 * n..11 * n].to_vec(),
                 v_colors: v[11 * n..].chunks(channels).flat_map(|row| row[..3].to_vec()).collect(),
             };
+            v_activated.v_opacities.iter_mut().enumerate().for_each(|(i, v)| *v *= dropout.factor(i as u32));
             let mut v_masks = vec![0.0; n];
             let mut losses = [0.0; 2];
             if flags & StepUniform::MASKED != 0 {
@@ -271,7 +274,10 @@ mod tests {
         let Some(gpu) = gpu() else { return };
         let (masked, quantized) = (StepUniform::MASKED, StepUniform::QUANTIZED);
         let (segmented, compares) = (StepUniform::SEGMENTED, StepUniform::COMPARES_MASKS);
-        for flags in [0, masked, quantized | segmented, masked | quantized | compares, masked | compares | segmented] {
+        let (all, some) = (Dropout::default(), Dropout { share: 0.3, draw: 7 });
+        let cases = [0, masked, quantized | segmented, masked | quantized | compares, masked | compares | segmented]
+            .map(|flags| (flags, all));
+        for (flags, dropout) in [&cases[..], &[(0, some), (masked | quantized, some)]].concat() {
             for n in [1, 256, 700, 1301] {
                 let scene = Scene::new(n);
                 let channels = if flags & segmented != 0 { 5 } else { 3 };
@@ -281,6 +287,8 @@ mod tests {
                     num_drawn: n as u32,
                     flags,
                     mask_threshold: THRESHOLD,
+                    drop_share: dropout.share,
+                    drop_draw: dropout.draw,
                     weights: WEIGHTS.values(),
                     ..StepUniform::default()
                 };
@@ -293,11 +301,13 @@ mod tests {
                 let names = ["means", "quats", "scales", "opacities", "colors", "masks"];
                 let activated: Vec<f32> = gpu.read(&found.activated, v.len()).unwrap();
                 let lens = [3, 4, 3, 1, channels].map(|c| c * n);
-                for ((name, found), expected) in names.iter().zip(split(&activated, &lens)).zip(scene.drawn(flags)) {
+                for ((name, found), expected) in
+                    names.iter().zip(split(&activated, &lens)).zip(scene.drawn(flags, dropout))
+                {
                     assert_close(&format!("{name} of {n}, flags {flags}"), found, &expected, 2e-6);
                 }
                 let grads: Vec<f32> = gpu.read(&found.grads, 15 * n).unwrap();
-                let (expected, losses) = scene.grads(flags, &v);
+                let (expected, losses) = scene.grads(flags, dropout, &v);
                 let lens = [3, 4, 3, 1, 3, 1].map(|c| c * n);
                 for ((name, found), expected) in names.iter().zip(split(&grads, &lens)).zip(&expected) {
                     assert_close(&format!("v of {name} of {n}, flags {flags}"), found, expected, 5e-6);

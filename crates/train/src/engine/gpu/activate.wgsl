@@ -68,6 +68,18 @@ fn sigmoid(x: f32) -> f32 {
     return 1.0 / (1.0 + exp(-clamp(x, -80.0, 80.0)));
 }
 
+fn hash(x: u32) -> u32 {
+    let state = x * 747796405u + 2891336453u;
+    let word = ((state >> ((state >> 28u) + 4u)) ^ state) * 277803737u;
+    return (word >> 22u) ^ word;
+}
+
+// The factor of a Gaussian's opacity; twin of `Dropout::factor`.
+fn dropout(n: u32) -> f32 {
+    let unit = f32(hash(n + hash(step.drop_draw)) >> 8u) / 16777216.0;
+    return select(1.0 / (1.0 - step.drop_share), 0.0, unit < step.drop_share);
+}
+
 fn num_channels() -> u32 {
     return select(3u, 5u, has(SEGMENTED));
 }
@@ -88,7 +100,8 @@ fn activate_fwd(@builtin(workgroup_id) block: vec3<u32>, @builtin(local_invocati
             mask = select(0.0, 1.0, sigmoid(params[MASK_AT * num + n]) > step.mask_threshold);
         }
         masks[local] = mask;
-        activated[OPACITIES_AT * drawn + n] = mask * sigmoid(stored(LOGIT_OPACITY_AT * num + n, n, LOGIT_OPACITY_BYTE, 0u));
+        let opacity = sigmoid(stored(LOGIT_OPACITY_AT * num + n, n, LOGIT_OPACITY_BYTE, 0u));
+        activated[OPACITIES_AT * drawn + n] = dropout(n) * mask * opacity;
     }
     workgroupBarrier();
     for (var j = local; j < 768u; j += 256u) {
@@ -151,9 +164,9 @@ fn activate_bwd(@builtin(workgroup_id) block: vec3<u32>, @builtin(local_invocati
         let unit = quat / length;
         quats[local] = select(vec4(0.0), (v_unit - unit * dot(unit, v_unit)) / length, length > 0.0);
 
-        // Scale and opacity as they were before the mask.
+        // Scale and opacity as they were before the mask, and without dropout.
         let opacity = sigmoid(stored(LOGIT_OPACITY_AT * num + n, n, LOGIT_OPACITY_BYTE, 0u));
-        let v_opacity = v_activated[OPACITIES_AT * num + n];
+        let v_opacity = dropout(n) * v_activated[OPACITIES_AT * num + n];
         let row = LOG_SCALE_AT * num + 3u * n;
         let v_row = SCALES_AT * num + 3u * n;
         let v_log_scale = vec3(

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use tcgs_codec::BitMap;
 use tcgs_core::{Attribute, Camera, Image, Layout, PointCloud};
 use tcgs_train::engine::{Step, Target};
-use tcgs_train::{FakeQuantizers, LossTerms, Optimizer, Parameters, Past, Pose, Rates, State, TrainConfig};
+use tcgs_train::{Dropout, FakeQuantizers, LossTerms, Optimizer, Parameters, Past, Pose, Rates, State, TrainConfig};
 
 use super::{Random, relative_l2};
 
@@ -82,7 +82,7 @@ pub fn with_past(mut state: State) -> State {
 /// An iteration that counts gradients and moves Gaussians.
 pub fn step(camera: usize, rates: Rates, config: &TrainConfig) -> Step<'_> {
     let (weights, mask) = (&config.weights, &config.mask);
-    Step { camera, rates, weights, mask, counts_gradients: true, moves_gaussians: true }
+    Step { camera, rates, weights, mask, counts_gradients: true, dropout: Dropout::default(), moves_gaussians: true }
 }
 
 /// All data that outlives an iteration, bit for bit.
