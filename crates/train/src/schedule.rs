@@ -168,7 +168,7 @@ impl Schedule {
         }
     }
 
-    /// What an iteration leaves out: a share that rises linearly, in the first timestep of few cameras.
+    /// The dropout of an iteration. In the first timestep of few cameras the share rises linearly; else it is 0.
     ///
     /// - `num_cameras`: training cameras
     pub fn dropout(&self, phase: Phase, iteration: usize, num_cameras: usize) -> Dropout {

@@ -21,7 +21,8 @@ pub fn settings_for(preset: Preset, capture: &Capture) -> TrainConfig {
     config.data.layout = capture.kind().name.into();
     (config.data.first_frame, config.data.end_frame) = (frames.start, frames.end);
     config.data.frame_rate = capture.frame_rate();
-    // What moves uncovers places. On a background like the surroundings these show smaller errors, and stay as they are.
+    // Moving things uncover places. On a background like the surroundings these places show smaller errors, and stay as
+    // they are.
     config.render.background = frames.len() == 1 && matches!(config.preset, Preset::Default | Preset::Fast);
     if !facts.has_floor {
         config.weights.floor = 0.0;
