@@ -7,7 +7,7 @@ use crate::config::{REFERENCE_ITERATIONS, TrainConfig};
 use crate::dropout::Dropout;
 
 /// Most training cameras of a scene whose Gaussians are left out at random.
-const FEW_CAMERAS: usize = 9;
+const FEW_CAMERAS: usize = 7;
 
 /// Learning rate of the young for columns that are constant over time, relative to that of the newborn. These columns
 /// also change how the timesteps since their birth look.
@@ -220,8 +220,8 @@ mod tests {
         assert!(s.starts_quantization(900));
         assert!((s.rates(Phase::First, 0).mask - 0.01 * 10.0 / 1.5).abs() < 1e-6);
         assert!((s.rates(Phase::Rest, 0).mean - 3.2e-4 * 20.0 / 3.0).abs() < 1e-8);
-        assert_eq!(s.dropout(Phase::First, 750, 9), Dropout { share: 0.1, draw: 750 });
-        for (phase, num_cameras) in [(Phase::First, 10), (Phase::Rest, 9), (Phase::Birth, 9)] {
+        assert_eq!(s.dropout(Phase::First, 750, 7), Dropout { share: 0.1, draw: 750 });
+        for (phase, num_cameras) in [(Phase::First, 8), (Phase::Rest, 7), (Phase::Birth, 7)] {
             assert_eq!(s.dropout(phase, 100, num_cameras), Dropout::default());
         }
         assert!(s.rates(Phase::Rest, 299).mean < 0.05 * s.rates(Phase::Rest, 0).mean);

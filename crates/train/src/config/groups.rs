@@ -113,7 +113,7 @@ pub struct DensifyConfig {
     /// most of it back. In a schedule of fewer than 1000 iterations the share is smaller in proportion. 0: none are
     /// removed. Reference 0; default 1.
     pub prune_error: f32,
-    /// Share of the Gaussians that an iteration of the first timestep leaves out at random if there are at most nine
+    /// Share of the Gaussians that an iteration of the first timestep leaves out at random if there are at most seven
     /// training cameras. It rises from 0 to this. Reference 0; default 0.2.
     pub dropout: f32,
 }
