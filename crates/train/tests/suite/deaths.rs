@@ -62,7 +62,7 @@ fn settings() -> TrainConfig {
     config.rates.camera_centered = false;
     config.schedule.first_iterations = 60;
     config.schedule.rest_iterations = 120;
-    config.densify.prune_error = 0.0;
+    (config.densify.prune_error, config.densify.dropout) = (0.0, 0.0);
     config.quantize.enabled = false;
     config.densify.start = 10_000;
     config.births.enabled = false;
