@@ -14,11 +14,11 @@ impl Dropout {
     /// The factor of a Gaussian's opacity: 0 for one that is left out. The others make up for these, so that the
     /// factor's mean is 1.
     pub fn factor(self, gaussian: u32) -> f32 {
-        if self.share > 0.0 && unit(gaussian, self.draw) < self.share { 0.0 } else { 1.0 / (1.0 - self.share) }
+        if unit(gaussian, self.draw) < self.share { 0.0 } else { 1.0 / (1.0 - self.share) }
     }
 }
 
-/// A random number from 0 to 1 (PCG; Jarzynski and Olano 2020); twin of `unit` in activate.wgsl.
+/// A random number in `[0, 1)` (PCG; Jarzynski and Olano 2020), as `dropout` in activate.wgsl draws it.
 fn unit(gaussian: u32, draw: u32) -> f32 {
     let hash = |x: u32| {
         let state = x.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);

@@ -11,8 +11,8 @@ const LOG_SCALE_RATE: f32 = 0.005;
 const STILLNESS: f32 = 0.5;
 
 /// The settings of a preset, adapted to a capture: its frames and frame rate. A capture of one frame has a background
-/// of its own, unless a preset repeats a publication. Losses without data in the capture (a
-/// floor, masks) are off. If no masks label motion, the loss `weights.stillness` holds unchanged content.
+/// of its own, unless a preset repeats a publication. Losses without data in the capture (a floor, masks) are off. If no
+/// masks label motion, the loss `weights.stillness` holds unchanged content.
 ///
 /// - returns: settings whose `data.capture` is still empty
 pub fn settings_for(preset: Preset, capture: &Capture) -> TrainConfig {
