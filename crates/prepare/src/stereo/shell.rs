@@ -1,17 +1,21 @@
-//! The surroundings of all measured points: a sphere around the scene, and its floor.
+//! The surroundings of all measured points: a sphere around the scene, and the flat walls of a room.
 
 use tcgs_core::{Pinhole, cross, distance, dot, length, normalize, sub};
 
 use super::patchmatch::Random;
 
-/// RANSAC trials for the floor.
-const NUM_TRIALS: u64 = 300;
-/// Number of points that judge a plane.
+/// RANSAC trials for a wall.
+const NUM_TRIALS: u64 = 2000;
+/// Number of points that judge the walls.
 const NUM_JUDGES: usize = 2000;
-/// A plane's thickness, as a share of the scene's size.
+/// Most walls: the sides of a box.
+const MAX_WALLS: usize = 6;
+/// A wall's thickness, as a share of the scene's size.
 const THICKNESS: f32 = 0.01;
-/// Minimum share of the points on a floor.
-const MIN_FLOOR_SHARE: f32 = 0.08;
+/// Minimum share of the points on a wall.
+const MIN_WALL_SHARE: f32 = 0.04;
+/// Largest share of the points behind a wall: mistakes. More points belong to what stands there.
+const MAX_BEHIND: f32 = 0.02;
 /// Largest mean distance of points from a sphere, relative, for a sphere to count.
 const MAX_MISS: f32 = 0.1;
 /// Radius of an unknown background, over the distance between the farthest cameras.
@@ -22,14 +26,34 @@ const UNKNOWN_DISTANCE: f32 = 3.0;
 pub(super) struct Shell {
     center: [f32; 3],
     radius: f32,
-    /// Unit normal towards the cameras, and its dot product with the points of the plane.
-    floor: Option<([f32; 3], f32)>,
+    walls: Vec<Wall>,
+}
+
+/// A plane with all cameras on one side, and hardly any point on the other: a floor, a wall or a ceiling.
+#[derive(Clone, Copy, Debug)]
+struct Wall {
+    /// Unit normal towards the cameras.
+    normal: [f32; 3],
+    /// Dot product of the normal with the points of the plane, scene units.
+    offset: f32,
+}
+
+impl Wall {
+    /// Distance of a point from the plane, negative behind it. Scene units.
+    fn distance(self, point: [f32; 3]) -> f32 {
+        dot(self.normal, point) - self.offset
+    }
+
+    /// Depth at which a ray meets the plane, if it does.
+    fn depth(self, from: [f32; 3], ray: [f32; 3]) -> Option<f32> {
+        Some(-self.distance(from) / dot(self.normal, ray)).filter(|&depth| depth > 0.0)
+    }
 }
 
 impl Shell {
-    /// A sphere without a floor.
+    /// A sphere without walls.
     pub fn around(center: [f32; 3], radius: f32) -> Self {
-        Self { center, radius, floor: None }
+        Self { center, radius, walls: Vec::new() }
     }
 
     /// Fits a shell to points of the background.
@@ -44,19 +68,21 @@ impl Shell {
         let mut distances: Vec<f32> = judges.iter().map(|&point| distance(point, middle)).collect();
         distances.sort_by(f32::total_cmp);
         let Some(&far) = distances.get(distances.len() * 95 / 100) else {
-            return Self { center: middle, radius: UNKNOWN_DISTANCE * 2.0 * spread, floor: None };
+            return Self::around(middle, UNKNOWN_DISTANCE * 2.0 * spread);
         };
-        let floor = find_floor(cameras, &judges, far);
-        let off_floor = |point: &[f32; 3]| {
-            floor.is_none_or(|(normal, offset)| (dot(normal, *point) - offset).abs() > 3.0 * THICKNESS * far)
-        };
-        let rest: Vec<[f32; 3]> = judges.iter().copied().filter(off_floor).collect();
+        let (mut walls, mut rest) = (Vec::new(), judges.clone());
+        while walls.len() < MAX_WALLS
+            && let Some(wall) = find_wall(cameras, &rest, &judges, far)
+        {
+            rest.retain(|&point| wall.distance(point).abs() > 3.0 * THICKNESS * far);
+            walls.push(wall);
+        }
         // Every camera must be inside the sphere. Without such a sphere rays end all around at the far distance.
         let inside = |&(center, radius): &([f32; 3], f32)| {
             cameras.iter().all(|camera| distance(camera.center, center) < 1.1 * radius)
         };
         let (center, radius) = find_sphere(&rest).filter(inside).unwrap_or((middle, far.max(min_radius * spread)));
-        Self { center, radius, floor }
+        Self { center, radius, walls }
     }
 
     /// Depth at which a ray ends.
@@ -67,14 +93,8 @@ impl Shell {
         let (a, b, c) = (dot(ray, ray), dot(offset, ray), dot(offset, offset) - self.radius * self.radius);
         let discriminant = b * b - a * c;
         let sphere = (discriminant > 0.0).then(|| (discriminant.sqrt() - b) / a).filter(|&depth| depth > 0.0);
-        let floor = self.floor.and_then(|(normal, offset)| {
-            let depth = (offset - dot(normal, from)) / dot(normal, ray);
-            (depth > 0.0).then_some(depth)
-        });
-        match (sphere, floor) {
-            (Some(a), Some(b)) => Some(a.min(b)),
-            (sphere, _) => sphere,
-        }
+        let walls = self.walls.iter().filter_map(|wall| wall.depth(from, ray));
+        sphere.into_iter().chain(walls).min_by(f32::total_cmp)
     }
 }
 
@@ -87,10 +107,15 @@ fn mean(points: impl Iterator<Item = [f32; 3]>) -> [f32; 3] {
     sum.map(|x| x / count.max(1.0))
 }
 
-/// The plane with most points on it and all cameras on one side (Fischler and Bolles 1981).
-fn find_floor(cameras: &[Pinhole<f32>], points: &[[f32; 3]], size: f32) -> Option<([f32; 3], f32)> {
-    let mut best = (MIN_FLOOR_SHARE * points.len() as f32, None);
-    for trial in 0..NUM_TRIALS {
+/// The wall on which most points are (Fischler and Bolles 1981).
+///
+/// - `points`: those on no wall so far, among `all`
+/// - `size`: of the scene, scene units
+fn find_wall(cameras: &[Pinhole<f32>], points: &[[f32; 3]], all: &[[f32; 3]], size: f32) -> Option<Wall> {
+    let thickness = THICKNESS * size;
+    let mut most = (MIN_WALL_SHARE * all.len() as f32) as usize;
+    let mut best = None;
+    for trial in 0..if points.len() > most { NUM_TRIALS } else { 0 } {
         let mut random = Random::new(1, trial);
         let mut pick = || points[((random.unit() * points.len() as f32) as usize).min(points.len() - 1)];
         let (a, b, c) = (pick(), pick(), pick());
@@ -102,14 +127,18 @@ fn find_floor(cameras: &[Pinhole<f32>], points: &[[f32; 3]], size: f32) -> Optio
         if dot(normal, cameras[0].center) < dot(normal, a) {
             normal = normal.map(|x| -x);
         }
-        let offset = dot(normal, a);
-        let above = |camera: &Pinhole<f32>| dot(normal, camera.center) > offset + THICKNESS * size;
-        let count = points.iter().filter(|&&p| (dot(normal, p) - offset).abs() < THICKNESS * size).count() as f32;
-        if count > best.0 && cameras.iter().all(above) {
-            best = (count, Some((normal, offset)));
+        let wall = Wall { normal, offset: dot(normal, a) };
+        let count = points.iter().filter(|&&point| wall.distance(point).abs() < thickness).count();
+        let is_before = |camera: &Pinhole<f32>| wall.distance(camera.center) > thickness;
+        let is_behind = |point: &&[f32; 3]| wall.distance(**point) < -3.0 * thickness;
+        if count > most
+            && cameras.iter().all(is_before)
+            && all.iter().filter(is_behind).count() as f32 <= MAX_BEHIND * all.len() as f32
+        {
+            (most, best) = (count, Some(wall));
         }
     }
-    best.1
+    best
 }
 
 /// The sphere through points, by least squares of `|p|² = 2 c·p + (r² − |c|²)`; nothing if they are on none.
