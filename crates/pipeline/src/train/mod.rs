@@ -40,12 +40,8 @@ pub fn new_trainer(config: &TrainConfig, capture: &Capture, backend: &Backend) -
     // Points of `tcgs prepare` leave nothing open, few points would give a shell of a few points, and a removal without
     // a measured error would remove what no view shows.
     let is_given = capture.measured_share()?.is_none() && cloud.points.len() >= FEW_POINTS;
-    let closes_holes = is_given && config.densify.prune_error > 0.0;
-    let cloud = if closes_holes { close_holes(&cloud, &cameras) } else { cloud };
+    let cloud = if is_given && config.densify.prune_error > 0.0 { close_holes(&cloud, &cameras) } else { cloud };
     let mut trainer = Trainer::with_engine(config, &cloud, &cameras, |state| backend.engine(state))?;
-    if closes_holes {
-        trainer.keep_out_of_images(&cameras)?;
-    }
     if config.render.background {
         let views = capture.views(Split::Train, config.data.first_frame, config.data.downscale)?;
         trainer.set_background(border_color(&views))?;

@@ -11,12 +11,17 @@ const NUM_BETWEEN: usize = 64;
 const POINTS_PER_HOLE: usize = 40;
 /// The shell is closed in one direction for so many points: with 80,000 points every seven degrees.
 const POINTS_PER_DIRECTION: usize = 100;
+/// Beside images there are so many times as many directions. Gaussians there may not reach into an image, so only small
+/// ones close the shell.
+const DENSER: usize = 16;
+/// Width of what lies beside an image, as a share of its longer side.
+const BESIDE: f32 = 0.2;
 /// Number of points that lend their colours.
 const NUM_SAMPLES: usize = 2000;
 /// Number of the nearest among them whose median colour is taken.
 const NUM_NEAREST: usize = 8;
 
-/// Adds a sphere around the scene, and its floor, in directions that no training image shows. These directions lie
+/// Adds a sphere around the scene, or the walls of a room, in directions that no training image shows. These directions lie
 /// outside of all images, or cameras between the training cameras meet no point there. Without points, pictures from
 /// other cameras are black there. Points by [`stereo_points`](super::stereo_points) have both already.
 ///
@@ -72,25 +77,45 @@ pub(super) fn between_ends(cameras: &[Pinhole<f32>], points: &[Vec<Point>], shel
     cameras.iter().flat_map(of).collect()
 }
 
-/// Points of the shell outside of all images, in directions from the middle of the cameras that are spread evenly.
+/// Points of the shell outside of all images, in directions from the middle of the cameras. They lie evenly, and more
+/// densely beside images.
 ///
 /// - `num_points`: of the whole cloud
 pub(super) fn outside_ends(cameras: &[Pinhole<f32>], shell: &Shell, num_points: usize) -> Vec<Point> {
-    let num_directions = num_points / POINTS_PER_DIRECTION;
     let sum = cameras.iter().fold([0.0; 3], |sum: [f32; 3], at| std::array::from_fn(|c| sum[c] + at.center[c]));
     let middle = sum.map(|x| x / cameras.len() as f32);
-    let end = |i: usize| {
-        // A spiral whose turns are golden angles.
-        let z = 1.0 - (2 * i + 1) as f32 / num_directions as f32;
-        let (sin, cos) = (i as f32 * std::f32::consts::PI * (3.0 - 5.0_f32.sqrt())).sin_cos();
-        let across = (1.0 - z * z).sqrt();
-        let ray = [across * cos, across * sin, z];
+    let wider: Vec<Pinhole<f32>> = cameras.iter().map(widened).collect();
+    let is_in = |cameras: &[Pinhole<f32>], point: &Point| cameras.iter().any(|at| at.pixel(point.position).is_some());
+    let end = |ray: [f32; 3]| {
         let depth = shell.depth(middle, ray)?;
         let position = std::array::from_fn(|c| middle[c] + depth * ray[c]);
-        let is_outside = cameras.iter().all(|camera| camera.pixel(position).is_none());
-        is_outside.then_some(Point { position, color: [0.0; 3], foreground: false })
+        Some(Point { position, color: [0.0; 3], foreground: false })
     };
-    (0..num_directions).filter_map(end).collect()
+    let count = num_points / POINTS_PER_DIRECTION;
+    let far = directions(count).filter_map(end).filter(|point| !is_in(&wider, point));
+    let beside = directions(DENSER * count).filter_map(end).filter(|point| is_in(&wider, point));
+    far.chain(beside.filter(|point| !is_in(cameras, point))).collect()
+}
+
+/// A camera whose image also shows what lies beside that of another.
+fn widened(camera: &Pinhole<f32>) -> Pinhole<f32> {
+    let margin = (BESIDE * camera.width.max(camera.height) as f32) as usize;
+    Pinhole {
+        width: camera.width + 2 * margin,
+        height: camera.height + 2 * margin,
+        principal: camera.principal.map(|at| at + margin as f32),
+        ..camera.clone()
+    }
+}
+
+/// So many unit vectors that are spread evenly: a spiral whose turns are golden angles.
+fn directions(count: usize) -> impl Iterator<Item = [f32; 3]> {
+    (0..count).map(move |i| {
+        let z = 1.0 - (2 * i + 1) as f32 / count as f32;
+        let (sin, cos) = (i as f32 * std::f32::consts::PI * (3.0 - 5.0_f32.sqrt())).sin_cos();
+        let across = (1.0 - z * z).sqrt();
+        [across * cos, across * sin, z]
+    })
 }
 
 /// The points of the shell that close it, in the colours of the background that is nearest to each.

@@ -6,7 +6,9 @@
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use tcgs_core::{Activated, Camera, Gaussians, Image, View, activate, cameras_between, seen_colors};
+use tcgs_core::{
+    Activated, Camera, Gaussians, Image, Pinhole, View, activate, cameras_between, seen_colors, squared_distance,
+};
 use tcgs_metrics::psnr;
 use tcgs_render::{CpuRasterizer, CpuTiles, Rasterizer, RenderSettings};
 
@@ -25,8 +27,7 @@ const NUM_BETWEEN: usize = 128;
 /// Shorter side of the pictures that tell what shows, pixels, at least; below twice as much.
 const SMALL: usize = 90;
 
-/// How many times as large a Gaussian's share of a picture from between has to be as its share of any training image,
-/// so that it stays.
+/// How many times as much of a Gaussian a picture from between has to show as any training image, so that it stays.
 const FROM_BETWEEN: f32 = 4.0;
 
 /// Without the statistic of densification.
@@ -76,7 +77,7 @@ pub struct Needed {
 /// - `timesteps`: with the same Gaussians, at least one
 pub fn needed(timesteps: &[TimestepViews<'_>], removal: &Removal<'_>) -> Needed {
     let mut errors = vec![0.0; timesteps[0].gaussians.num_gaussians()];
-    // Largest shares of training images, and of pictures from between.
+    // Largest visible sizes in training images, and in pictures from between.
     let mut largest = [errors.clone(), errors.clone()];
     let mut is_in_images = vec![false; errors.len()];
     let num_between = NUM_BETWEEN.div_ceil(timesteps.len());
@@ -88,7 +89,7 @@ pub fn needed(timesteps: &[TimestepViews<'_>], removal: &Removal<'_>) -> Needed 
         is_in_images.iter_mut().zip(are_in).for_each(|(is_in_images, is_in)| *is_in_images |= is_in);
         let between = cameras_between(&cameras, i * num_between..(i + 1) * num_between);
         for (largest, cameras) in largest.iter_mut().zip([cameras, between]) {
-            raise_to_shares(largest, timestep, &cameras);
+            raise_to_sizes(largest, timestep, &cameras);
         }
     }
     let [of_images, of_between] = largest;
@@ -117,15 +118,19 @@ pub fn needed(timesteps: &[TimestepViews<'_>], removal: &Removal<'_>) -> Needed 
     }
 }
 
-/// Raises each Gaussian's largest share of a picture to its shares of pictures of these cameras.
-fn raise_to_shares(largest: &mut [f32], timestep: &TimestepViews<'_>, cameras: &[Camera]) {
+/// Raises the largest visible size of each Gaussian to what these cameras see of it: its share of a picture times its
+/// squared distance. So a Gaussian close to a camera does not seem hidden from all others.
+fn raise_to_sizes(largest: &mut [f32], timestep: &TimestepViews<'_>, cameras: &[Camera]) {
     let small = |camera: &Camera| camera.downscaled((camera.width.min(camera.height) / SMALL).max(1));
     let cameras: Vec<Camera> = cameras.iter().map(small).collect();
     draw_all(timestep.gaussians, timestep.is_hidden, &cameras, |position, drawn| {
         let camera = &cameras[position];
         let equal = Image::filled(camera.width, camera.height, 1, 1.0 / (camera.width * camera.height) as f32);
         let shares = CpuTiles::new(drawn, camera).weights(&equal);
-        largest.iter_mut().zip(shares).for_each(|(largest, share)| *largest = largest.max(share));
+        let center = Pinhole::<f32>::new(camera).center;
+        for ((largest, share), &mean) in largest.iter_mut().zip(shares).zip(&drawn.means) {
+            *largest = largest.max(share * squared_distance(mean, center));
+        }
     });
 }
 

@@ -1,13 +1,15 @@
 //! Points outside of all training images: no loss constrains them, but other cameras see them.
 
 use rayon::prelude::*;
-use tcgs_core::{Camera, Pinhole, PointCloud};
+use tcgs_core::{Camera, Gaussians, Pinhole, PointCloud, normalize, sub};
 
 use crate::parameters::MIN_SQUARED_DISTANCE;
-use crate::state::State;
 
 /// Standard deviations within which a Gaussian covers anything.
 const REACH: f32 = 3.0;
+
+/// Thickness of a disc, as a share of its radius.
+const FLATNESS: f32 = 0.1;
 
 /// Whether each point is in the image of a camera, hidden or not.
 ///
@@ -35,20 +37,33 @@ pub(super) fn unseen_last(cloud: &PointCloud, cameras: &[Camera]) -> (PointCloud
     (ordered, num_unseen)
 }
 
-/// Shrinks the untrained Gaussians, which are in no image, until none reaches into an image, where it would cover
-/// trained Gaussians.
-pub(crate) fn keep_out(state: &mut State, cameras: &[Camera]) {
-    let first = state.num_trained();
+/// Makes discs of the Gaussians that are in no image, which face the middle of the cameras. They close the shell around
+/// the scene: balls would reach into the room, and veil cameras close to its walls. The discs shrink until none reaches
+/// into an image, where it would cover trained Gaussians.
+///
+/// - `num_unseen`: how many these are, the last ones
+pub(crate) fn keep_out(gaussians: &mut Gaussians, num_unseen: usize, cameras: &[Camera]) {
+    let first = gaussians.num_gaussians() - num_unseen;
     let pinholes: Vec<Pinhole<f32>> = cameras.iter().map(Pinhole::new).collect();
-    let gaussians = &mut state.parameters.gaussians;
-    let limits: Vec<f32> = gaussians.means()[first..]
-        .par_iter()
-        .map(|&mean| pinholes.iter().map(|pinhole| outside_by(pinhole, mean)).fold(f32::INFINITY, f32::min))
-        .collect();
-    for (log_scales, limit) in gaussians.log_scales_mut()[first..].iter_mut().zip(limits) {
-        let largest = (limit / REACH).max(MIN_SQUARED_DISTANCE.sqrt()).ln();
-        *log_scales = log_scales.map(|log_scale| log_scale.min(largest));
-    }
+    let sum = pinholes.iter().fold([0.0; 3], |sum: [f32; 3], at| std::array::from_fn(|c| sum[c] + at.center[c]));
+    let middle = sum.map(|x| x / cameras.len() as f32);
+    let v = gaussians.views_mut();
+    (&mut v.log_scales[first..], &mut v.quats[first..], &v.means[first..]).into_par_iter().for_each(
+        |(log_scales, quat, &mean)| {
+            let limit = pinholes.iter().map(|pinhole| outside_by(pinhole, mean)).fold(f32::INFINITY, f32::min);
+            let largest = (limit / REACH).max(MIN_SQUARED_DISTANCE.sqrt()).ln();
+            *log_scales = log_scales.map(|log_scale| log_scale.min(largest));
+            log_scales[2] += FLATNESS.ln();
+            *quat = facing(sub(middle, mean));
+        },
+    );
+}
+
+/// A rotation that turns the third axis towards a direction, as a unit quaternion.
+fn facing(direction: [f32; 3]) -> [f32; 4] {
+    let [x, y, z] = normalize(direction);
+    // Half of the way from the axis to the direction. Opposite directions have no such way.
+    if z > -0.999 { normalize([1.0 + z, -y, x, 0.0]) } else { [0.0, 1.0, 0.0, 0.0] }
 }
 
 /// A lower bound of the distance between a point and what a camera sees, scene units; 0 or less inside.
@@ -87,11 +102,10 @@ mod tests {
         // In the image; beside it, near and far; behind the camera.
         let points = vec![[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 0.0, -6.0]];
         let cloud = PointCloud { colors: points.clone(), points, foreground: vec![false; 4] };
-        let before = State { num_fixed: 3, ..State::new(Parameters::from_cloud(&cloud, 1, 0.0)) };
+        let before = Parameters::from_cloud(&cloud, 1, 0.0).gaussians;
         let mut after = before.clone();
-        keep_out(&mut after, std::slice::from_ref(&camera));
-        let scales =
-            |of: &State| -> Vec<f32> { of.parameters.gaussians.log_scales().iter().map(|s| s[0].exp()).collect() };
+        keep_out(&mut after, 3, std::slice::from_ref(&camera));
+        let scales = |of: &Gaussians| -> Vec<f32> { of.log_scales().iter().map(|s| s[0].exp()).collect() };
         let (before, after) = (scales(&before), scales(&after));
         assert_eq!(after[0], before[0], "what is in the image stays as it is");
         assert!(after.iter().zip(&before).all(|(after, before)| after <= before));

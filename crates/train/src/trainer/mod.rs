@@ -100,6 +100,7 @@ impl Trainer {
         let mut parameters = Parameters::from_cloud(&cloud, cameras.len(), config.mask.initial_logit);
         let layout = Layout::with_harmonics(config.color.degree).antialiased(config.render.antialiased);
         parameters.gaussians = std::mem::take(&mut parameters.gaussians).extended(&layout);
+        population::keep_out(&mut parameters.gaussians, num_unseen, cameras);
         let mut trainer = Self::begun(config, parameters, num_unseen, cameras, make)?;
         trainer.population.keep_clear(cameras, &cloud.points);
         Ok(trainer)
@@ -250,18 +251,6 @@ impl Trainer {
         }
         let gaussians = &mut self.solver.engine.state_mut()?.parameters.gaussians;
         *gaussians = std::mem::take(gaussians).with_background(background);
-        Ok(())
-    }
-
-    /// Before the first timestep: shrinks the Gaussians that it does not train, since they are in no image, until none
-    /// reaches into one.
-    ///
-    /// - `cameras`: as for [`Self::with_engine`]
-    ///
-    /// # Errors
-    /// [`TrainError::Gpu`] if the engine failed.
-    pub fn keep_out_of_images(&mut self, cameras: &[Camera]) -> Result<(), TrainError> {
-        population::keep_out(self.solver.engine.state_mut()?, cameras);
         Ok(())
     }
 
