@@ -14,6 +14,8 @@ const POINTS_PER_DIRECTION: usize = 100;
 /// Beside images there are so many times as many directions. Gaussians there may not reach into an image, so only small
 /// ones close the shell.
 const DENSER: usize = 16;
+/// At most one point in so many lies beside images.
+const POINTS_PER_BESIDE: usize = 50;
 /// Width of what lies beside an image, as a share of its longer side.
 const BESIDE: f32 = 0.2;
 /// Number of points that lend their colours.
@@ -94,7 +96,8 @@ pub(super) fn outside_ends(cameras: &[Pinhole<f32>], shell: &Shell, num_points: 
     let count = num_points / POINTS_PER_DIRECTION;
     let far = directions(count).filter_map(end).filter(|point| !is_in(&wider, point));
     let beside = directions(DENSER * count).filter_map(end).filter(|point| is_in(&wider, point));
-    far.chain(beside.filter(|point| !is_in(cameras, point))).collect()
+    let beside: Vec<Point> = beside.filter(|point| !is_in(cameras, point)).collect();
+    far.chain(thin::thin(&[beside], num_points / POINTS_PER_BESIDE).into_iter().map(|(_, point)| point)).collect()
 }
 
 /// A camera whose image also shows what lies beside that of another.

@@ -331,6 +331,28 @@ fn the_shell_is_behind_cameras_whose_points_do_not_tell_of_walls() {
 }
 
 #[test]
+fn walls_of_a_room_go_on_where_no_point_is() {
+    // A room of 6 x 3 x 6 units, whose floor is at y = 0, with a table that hides a part of the floor. Points lie on the
+    // left half of the wall ahead, on the floor and on the table.
+    let camera = |x: f64| Camera::look_at([x, -1.5, -2.5], [0.0, -1.0, 3.0], [0.0, -1.0, 0.0], 60.0, 64, 48);
+    let pinholes: Vec<Pinhole<f32>> = [-0.5, 0.5].map(|x| Pinhole::new(&camera(x))).into();
+    let grid = || (0..400).map(|i| [(i % 20) as f32 / 19.0, (i / 20) as f32 / 19.0]);
+    let table = |[u, v]: [f32; 2]| [u - 0.5, -0.8, v];
+    let floor = grid().map(|[u, v]| [6.0 * u - 3.0, 0.0, 4.0 * v - 1.0]);
+    let points: Vec<[f32; 3]> =
+        grid().map(|[u, v]| [3.0 * u - 3.0, -3.0 * v, 3.0]).chain(grid().map(table)).chain(floor).collect();
+    let shell = Shell::fit(&pinholes, &points, 0.0);
+    let depth = |ray| shell.depth([0.5, -1.5, -2.5], ray).unwrap();
+    for (ray, expected, what) in [
+        ([0.2, -0.1, 1.0], 5.5, "the right half of the wall has no point"),
+        ([0.2, 1.0, 0.2], 1.5, "the floor between the camera and the table has none"),
+        ([-0.1, 0.5, 1.0], 3.0, "the table is not a wall: the floor is behind it"),
+    ] {
+        assert!((depth(ray) - expected).abs() < 0.05, "{}, {what}", depth(ray));
+    }
+}
+
+#[test]
 fn filling_continues_a_plane() {
     let view = |camera: Camera| View {
         image: tcgs_core::Image::filled(camera.width, camera.height, 3, 0.5),

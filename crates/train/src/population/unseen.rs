@@ -118,4 +118,22 @@ mod tests {
         }
         assert!((after[3] - before[3].min(2.0 / 3.0)).abs() < 1e-4, "{}", after[3]);
     }
+
+    #[test]
+    fn what_is_in_no_image_is_a_disc_that_faces_the_cameras() {
+        let camera = Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 60.0, 64, 48);
+        let points = vec![[0.0; 3], [9.0, 2.0, 0.0], [0.0, 0.0, -6.0], [0.1, 0.0, -9.0]];
+        let cloud = PointCloud { colors: points.clone(), points: points.clone(), foreground: vec![false; 4] };
+        let before = Parameters::from_cloud(&cloud, 1, 0.0).gaussians;
+        let mut after = before.clone();
+        keep_out(&mut after, 3, std::slice::from_ref(&camera));
+        assert_eq!((after.quats()[0], after.log_scales()[0]), (before.quats()[0], before.log_scales()[0]));
+        for (i, &[x, y, z]) in points.iter().enumerate().skip(1) {
+            let axis = tcgs_core::rotmat_from_unit_quat(after.quats()[i]).map(|row| row[2]);
+            let towards = normalize([-x, -y, -4.0 - z]);
+            assert!(tcgs_core::distance(axis, towards) < 1e-5, "{i}: {axis:?} instead of {towards:?}");
+            let [a, b, c] = after.log_scales()[i];
+            assert!(a == b && (c - a - FLATNESS.ln()).abs() < 1e-5, "{i}");
+        }
+    }
 }
