@@ -85,7 +85,8 @@ fn the_shell_is_closed_in_all_directions() {
     let prepared = prepared(&capture, &StereoSettings { num_points: 8000, ..StereoSettings::default() });
     let cloud = &prepared.cloud;
     let num_outside = cloud.points.len() - in_images(&prepared, &capture).cloud.points.len();
-    assert!((20..=80).contains(&num_outside), "{num_outside} of 80 directions are outside of all images");
+    // 80 directions lie evenly, and up to a fiftieth of the points beside images.
+    assert!((100..=240).contains(&num_outside), "{num_outside} points are outside of all images");
     let cameras: Vec<Camera> = capture.cameras(Split::Train, 0, 1).unwrap().into_iter().map(|(_, at)| at).collect();
     assert_closed(cloud, &cameras);
     // Colours of walls, not black.
