@@ -23,9 +23,9 @@ const NUM_SAMPLES: usize = 2000;
 /// Number of the nearest among them whose median colour is taken.
 const NUM_NEAREST: usize = 8;
 
-/// Adds a sphere around the scene, or the walls of a room, in directions that no training image shows. These directions lie
-/// outside of all images, or cameras between the training cameras meet no point there. Without points, pictures from
-/// other cameras are black there. Points by [`stereo_points`](super::stereo_points) have both already.
+/// Adds a sphere around the scene, or the walls of a room, in directions that no training image shows. These directions
+/// lie outside of all images, or cameras between the training cameras meet no point there. Without points, pictures
+/// from other cameras are black there. Points by [`stereo_points`](super::stereo_points) have both already.
 ///
 /// - `cloud`: at least one point
 /// - `cameras`: of the training images
@@ -100,7 +100,7 @@ pub(super) fn outside_ends(cameras: &[Pinhole<f32>], shell: &Shell, num_points: 
     far.chain(thin::thin(&[beside], num_points / POINTS_PER_BESIDE).into_iter().map(|(_, point)| point)).collect()
 }
 
-/// A camera whose image also shows what lies beside that of another.
+/// The camera with a larger image: it ends a fifth farther out on each side.
 fn widened(camera: &Pinhole<f32>) -> Pinhole<f32> {
     let margin = (BESIDE * camera.width.max(camera.height) as f32) as usize;
     Pinhole {

@@ -274,7 +274,7 @@ mod tests {
         assert_eq!(stay_by(1e6, [false; 5], Some(&costs)), [0, 2, 3, 4], "what costs most for its error goes first");
     }
 
-    /// What stays of Gaussians that two cameras show as they are, if a few may go, and what is seen from between alone.
+    /// The rows of [`Needed`] if two cameras show the Gaussians as they are, and a few may go.
     fn stay(gaussians: &Gaussians, focal: f64) -> (Vec<usize>, Vec<usize>) {
         let views = [-2.0, 2.0].map(|x| {
             let camera = Camera::look_at([x, 0.0, -4.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0], focal, 72, 54);
