@@ -46,7 +46,7 @@ impl Wall {
 
     /// Depth at which a ray meets the plane, if it does.
     fn depth(self, from: [f32; 3], ray: [f32; 3]) -> Option<f32> {
-        Some(-self.distance(from) / dot(self.normal, ray)).filter(|&depth| depth > 0.0)
+        Some(-self.distance(from) / dot(self.normal, ray)).filter(|&depth| depth > 0.0 && depth.is_finite())
     }
 }
 

@@ -53,9 +53,14 @@ use crate::state::State;
 ///
 /// - `cameras`: of the first timestep's training views
 /// - returns: also how many of them, the last ones, are not trained in the first timestep. These are in no image. All
-///   are trained where no Gaussian is removed by a measured error.
+///   are trained if all are in no image, and where no Gaussian is removed by a measured error.
 pub(crate) fn initial_points(config: &TrainConfig, cloud: &PointCloud, cameras: &[Camera]) -> (PointCloud, usize) {
-    if config.densify.prune_error > 0.0 { unseen_last(cloud, cameras) } else { (cloud.clone(), 0) }
+    if config.densify.prune_error == 0.0 {
+        return (cloud.clone(), 0);
+    }
+    let (cloud, num_unseen) = unseen_last(cloud, cameras);
+    let num_fixed = if num_unseen < cloud.points.len() { num_unseen } else { 0 };
+    (cloud, num_fixed)
 }
 
 /// Adds and removes the Gaussians of a run.

@@ -96,12 +96,12 @@ impl Trainer {
         if cloud.points.is_empty() {
             return Err(none("points of the initial cloud"));
         }
-        let (cloud, num_unseen) = population::initial_points(config, cloud, cameras);
+        let (cloud, num_fixed) = population::initial_points(config, cloud, cameras);
         let mut parameters = Parameters::from_cloud(&cloud, cameras.len(), config.mask.initial_logit);
         let layout = Layout::with_harmonics(config.color.degree).antialiased(config.render.antialiased);
         parameters.gaussians = std::mem::take(&mut parameters.gaussians).extended(&layout);
-        population::keep_out(&mut parameters.gaussians, num_unseen, cameras);
-        let mut trainer = Self::begun(config, parameters, num_unseen, cameras, make)?;
+        population::keep_out(&mut parameters.gaussians, num_fixed, cameras);
+        let mut trainer = Self::begun(config, parameters, num_fixed, cameras, make)?;
         trainer.population.keep_clear(cameras, &cloud.points);
         Ok(trainer)
     }
@@ -122,11 +122,11 @@ impl Trainer {
         Self::begun(config, parameters, 0, cameras, make)
     }
 
-    /// - `num_unseen`: number of Gaussians, the last ones, that are in no training image
+    /// - `num_fixed`: number of Gaussians, the last ones, that the first timestep does not train
     fn begun(
         config: &TrainConfig,
         parameters: Parameters,
-        num_unseen: usize,
+        num_fixed: usize,
         cameras: &[Camera],
         make: impl FnOnce(State) -> Box<dyn Engine>,
     ) -> Result<Self, TrainError> {
@@ -138,8 +138,6 @@ impl Trainer {
         }
         let radius = extent(cameras, parameters.gaussians.means());
         let num_gaussians = parameters.num_gaussians();
-        // A scene of which nothing is in an image is trained as it is.
-        let num_fixed = if num_unseen < num_gaussians { num_unseen } else { 0 };
         let engine = make(State { num_fixed, ..State::new(parameters) });
         Ok(Self {
             solver: Solver::new(config, radius, engine, num_gaussians, 0),
