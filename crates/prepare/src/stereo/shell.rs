@@ -12,10 +12,11 @@ const NUM_JUDGES: usize = 2000;
 const MAX_WALLS: usize = 6;
 /// A wall's thickness, as a share of the scene's size.
 const THICKNESS: f32 = 0.01;
-/// Minimum share of the points on a wall.
-const MIN_WALL_SHARE: f32 = 0.04;
-/// Largest share of the points behind a wall: mistakes. More points belong to what stands there.
-const MAX_BEHIND: f32 = 0.02;
+/// Minimum shares of the points on the first wall, and on each other.
+const MIN_WALL_SHARES: [f32; 2] = [0.08, 0.04];
+/// Largest shares of the points behind the first wall, and behind each other. These are mistakes, or belong to what
+/// stands there. Where few depths are right, as with four cameras, many mistakes lie behind the floor.
+const MAX_BEHIND: [f32; 2] = [1.0, 0.02];
 /// Largest mean distance of points from a sphere, relative, for a sphere to count.
 const MAX_MISS: f32 = 0.1;
 /// Radius of an unknown background, over the distance between the farthest cameras.
@@ -29,7 +30,8 @@ pub(super) struct Shell {
     walls: Vec<Wall>,
 }
 
-/// A plane with all cameras on one side, and hardly any point on the other: a floor, a wall or a ceiling.
+/// A plane with all cameras on one side: a floor, a wall or a ceiling. Hardly any point is behind it, but for the first
+/// one, which has the most points.
 #[derive(Clone, Copy, Debug)]
 struct Wall {
     /// Unit normal towards the cameras.
@@ -72,7 +74,7 @@ impl Shell {
         };
         let (mut walls, mut rest) = (Vec::new(), judges.clone());
         while walls.len() < MAX_WALLS
-            && let Some(wall) = find_wall(cameras, &rest, &judges, far)
+            && let Some(wall) = find_wall(cameras, &rest, &judges, far, walls.is_empty())
         {
             rest.retain(|&point| wall.distance(point).abs() > 3.0 * THICKNESS * far);
             walls.push(wall);
@@ -111,9 +113,17 @@ fn mean(points: impl Iterator<Item = [f32; 3]>) -> [f32; 3] {
 ///
 /// - `points`: those on no wall so far, among `all`
 /// - `size`: of the scene, scene units
-fn find_wall(cameras: &[Pinhole<f32>], points: &[[f32; 3]], all: &[[f32; 3]], size: f32) -> Option<Wall> {
+/// - `is_first`: whether no wall is known
+fn find_wall(
+    cameras: &[Pinhole<f32>],
+    points: &[[f32; 3]],
+    all: &[[f32; 3]],
+    size: f32,
+    is_first: bool,
+) -> Option<Wall> {
     let thickness = THICKNESS * size;
-    let mut most = (MIN_WALL_SHARE * all.len() as f32) as usize;
+    let [min_share, max_behind] = [MIN_WALL_SHARES, MAX_BEHIND].map(|shares| shares[usize::from(!is_first)]);
+    let mut most = (min_share * all.len() as f32) as usize;
     let mut best = None;
     for trial in 0..if points.len() > most { NUM_TRIALS } else { 0 } {
         let mut random = Random::new(1, trial);
@@ -133,7 +143,7 @@ fn find_wall(cameras: &[Pinhole<f32>], points: &[[f32; 3]], all: &[[f32; 3]], si
         let is_behind = |point: &&[f32; 3]| wall.distance(**point) < -3.0 * thickness;
         if count > most
             && cameras.iter().all(is_before)
-            && all.iter().filter(is_behind).count() as f32 <= MAX_BEHIND * all.len() as f32
+            && all.iter().filter(is_behind).count() as f32 <= max_behind * all.len() as f32
         {
             (most, best) = (count, Some(wall));
         }

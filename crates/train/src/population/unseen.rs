@@ -6,7 +6,7 @@ use tcgs_core::{Camera, Gaussians, Pinhole, PointCloud, normalize, sub};
 use crate::parameters::MIN_SQUARED_DISTANCE;
 
 /// Standard deviations within which a Gaussian covers anything.
-const REACH: f32 = 3.0;
+const REACH: f32 = 2.0;
 
 /// Thickness of a disc, as a share of its radius.
 const FLATNESS: f32 = 0.1;
