@@ -113,10 +113,10 @@ mod tests {
         let edge = (32.0_f64 / 60.0).atan();
         for (i, from_camera) in [(1, [3.0_f64, 4.0]), (2, [9.0, 4.0])] {
             let distance = (from_camera[0].atan2(from_camera[1]) - edge).sin() * from_camera[0].hypot(from_camera[1]);
-            let expected = (distance / 3.0).min(f64::from(before[i]));
+            let expected = (distance / f64::from(REACH)).min(f64::from(before[i]));
             assert!((f64::from(after[i]) - expected).abs() < 1e-4, "{i}: {} instead of {expected}", after[i]);
         }
-        assert!((after[3] - before[3].min(2.0 / 3.0)).abs() < 1e-4, "{}", after[3]);
+        assert!((after[3] - before[3].min(2.0 / REACH)).abs() < 1e-4, "{}", after[3]);
     }
 
     #[test]
