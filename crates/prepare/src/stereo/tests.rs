@@ -333,8 +333,8 @@ fn the_shell_is_behind_cameras_whose_points_do_not_tell_of_walls() {
 
 #[test]
 fn walls_of_a_room_go_on_where_no_point_is() {
-    // A room of 6 x 3 x 6 units with its floor at y = 0, and a table. Points lie on the left half of the wall ahead, on a
-    // part of the floor and on the table.
+    // A room of 6 x 3 x 6 units with its floor at y = 0, and a table. Points lie on the left half of the wall ahead, on
+    // a part of the floor and on the table.
     let camera = |x: f64| Camera::look_at([x, -1.5, -2.5], [0.0, -1.0, 3.0], [0.0, -1.0, 0.0], 60.0, 64, 48);
     let pinholes: Vec<Pinhole<f32>> = [-0.5, 0.5].map(|x| Pinhole::new(&camera(x))).into();
     let grid = || (0..400).map(|i| [(i % 20) as f32 / 19.0, (i / 20) as f32 / 19.0]);
