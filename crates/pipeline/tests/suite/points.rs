@@ -29,11 +29,11 @@ fn given_points_get_a_shell_that_stays_out_of_the_images() {
     for (&mean, log_scales) in closed.means().iter().zip(closed.log_scales()).skip(4000) {
         for pinhole in &pinholes {
             assert!(pinhole.pixel(mean).is_none(), "{mean:?} is in an image");
-            // Not even three standard deviations towards the camera's axis reach into an image.
+            // Not even two standard deviations towards the camera's axis reach into an image.
             let axis_point = pinhole
                 .unproject([pinhole.width as f32 / 2.0, pinhole.height as f32 / 2.0], distance(mean, pinhole.center));
             let apart = distance(mean, axis_point);
-            let reach = (2.99 * log_scales[0].exp() / apart).min(1.0);
+            let reach = (1.99 * log_scales[0].exp() / apart).min(1.0);
             let nearer = std::array::from_fn(|c| mean[c] + reach * (axis_point[c] - mean[c]));
             assert!(pinhole.pixel(nearer).is_none(), "{mean:?} reaches into an image");
         }

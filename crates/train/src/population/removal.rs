@@ -303,4 +303,26 @@ mod tests {
         // Here the second hides it from everywhere.
         assert_eq!(stay(&behind([1.0, 0.0, 0.5]).into()), (vec![0, 1, 3], vec![]));
     }
+
+    #[test]
+    fn what_is_close_to_a_camera_between_is_not_taken_for_hidden() {
+        // One camera before the other, so that those between come close to the first Gaussian. Nothing hides it.
+        let gaussians = Gaussians::from(BaseColumns {
+            means: vec![[0.25, 0.0, -1.6], [0.0, 0.0, 5.0]],
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; 2],
+            log_scales: vec![[-2.5; 3], [-0.7; 3]],
+            logit_opacities: vec![3.0, 9.0],
+            colors: vec![[0.9, 0.8, 0.3], [0.2, 0.5, 0.9]],
+        });
+        let views = [[0.0, 0.0, -4.0], [0.5, 0.0, 0.0]].map(|center: [f64; 3]| {
+            let target = [center[0], 0.0, 9.0];
+            let camera = Camera::look_at(center, target, [0.0, -1.0, 0.0], 60.0, 72, 54);
+            let Ok((drawn, _)) = CpuRasterizer.forward(&activate(&gaussians), &camera, &SETTINGS);
+            View { camera, image: drawn.image, segmentation: None, frame: 0, camera_id: usize::from(center[2] > -1.0) }
+        });
+        let corrections = &[[[0.0; 3]; 2]; 2];
+        let timestep = TimestepViews { gaussians: &gaussians, is_hidden: &[false; 2], views: &views, corrections };
+        let needed = needed(&[timestep], &Removal { share: 1e9, most: 0.5, costs: None, seed: 3 });
+        assert_eq!((needed.rows, needed.between), (vec![1], vec![]));
+    }
 }
