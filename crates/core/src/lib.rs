@@ -39,7 +39,7 @@ mod view;
 
 pub use activation::{Activated, ActivatedGrads, activate, activate_bwd, sigmoid, sigmoid_vjp};
 pub use attribute::Attribute;
-pub use between::cameras_between;
+pub use between::{cameras_around, cameras_between};
 pub use camera::{Camera, CameraError, MAX_COORDINATE, MAX_INTRINSIC, MAX_PIXELS, MAX_SIDE, Pinhole};
 pub use camera_path::{CameraKeyframe, CameraPath, CameraPathError};
 pub use columns::{BaseColumns, BaseViewsMut, Columns, GaussianGrads, Gaussians, PointCloud, Sensitivity, role};
@@ -64,5 +64,7 @@ pub use seen_colors::{seen_colors, seen_colors_bwd};
 pub use subject::{Subject, add_motion};
 pub use tour::{Tour, upright_axes};
 pub use trust::Trust;
-pub use vector::{add_scaled, cross, distance, dot, length, normalize, normalize_vjp, squared_distance, sub};
+pub use vector::{
+    add_scaled, cross, distance, dot, length, mean_vector, normalize, normalize_vjp, squared_distance, sub,
+};
 pub use view::{Segmentation, View};

@@ -39,6 +39,20 @@ pub fn add_scaled<R: Real, const D: usize>(a: [R; D], factor: R, b: [R; D]) -> [
     std::array::from_fn(|i| a[i] + factor * b[i])
 }
 
+/// Mean of vectors, such as the centroid of points; zero if there are none.
+///
+/// ```
+/// assert_eq!(tcgs_core::mean_vector([[0.0, 6.0], [4.0, 0.0]]), [2.0, 3.0]);
+/// assert_eq!(tcgs_core::mean_vector([[0.0_f32; 3]; 0]), [0.0; 3]);
+/// ```
+pub fn mean_vector<R: Real, const D: usize>(vectors: impl IntoIterator<Item = [R; D]>) -> [R; D] {
+    let (mut sum, mut count) = ([R::zero(); D], R::zero());
+    for vector in vectors {
+        (sum, count) = (add_scaled(sum, R::one(), vector), count + R::one());
+    }
+    sum.map(|x| x / count.max(R::one()))
+}
+
 /// Euclidean norm.
 #[inline(always)]
 pub fn length<R: Real, const D: usize>(v: [R; D]) -> R {

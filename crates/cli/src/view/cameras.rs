@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, Split};
-use tcgs_core::{Camera, add_scaled, distance, dot, length, normalize, upper_median, upright_axes};
+use tcgs_core::{Camera, add_scaled, distance, dot, length, mean_vector, normalize, upper_median, upright_axes};
 
 use crate::pictures::jpeg_uri;
 use crate::progress::Progress;
@@ -80,8 +80,8 @@ impl Rig {
             upper_median(seen).unwrap_or(spread.max(1e-3))
         };
         let ahead = |camera: &Camera| add_scaled(camera.center(), usual_depth(camera), camera.forward());
-        let [from, to] = [mean(centers.iter().copied()), mean(cameras.iter().map(ahead))];
-        let middle = mean([from, to].into_iter());
+        let [from, to] = [mean_vector(centers.iter().copied()), mean_vector(cameras.iter().map(ahead))];
+        let middle = mean_vector([from, to]);
         let radius = centers.iter().chain([&to]).map(|&place| distance(place, middle)).fold(1e-3, f64::max);
 
         let nearest = |(i, &a): (usize, &[f64; 3])| {
@@ -96,22 +96,14 @@ impl Rig {
 
 /// A camera that sees the whole rig from above: from behind the cameras, or from one side if they stand all around.
 fn overview(cameras: &[Camera], middle: [f64; 3], radius: f64) -> Camera {
-    let up = mean(cameras.iter().map(|camera| [0, 1, 2].map(|i| -camera.camera_from_world[1][i])));
+    let up = mean_vector(cameras.iter().map(|camera| [0, 1, 2].map(|i| -camera.camera_from_world[1][i])));
     let up = if length(up) > SAME_WAY { normalize(up) } else { [0.0, -1.0, 0.0] };
-    let forward = mean(cameras.iter().map(Camera::forward));
+    let forward = mean_vector(cameras.iter().map(Camera::forward));
     let level = add_scaled(forward, -dot(forward, up), up);
     let level = if length(level) > SAME_WAY { normalize(level) } else { upright_axes(up)[2] };
     let back = add_scaled(middle, -FAR * radius * ELEVATION.cos(), level);
     let eye = add_scaled(back, FAR * radius * ELEVATION.sin(), up);
     Camera::look_at(eye, middle, up, 520.0, 640, 400)
-}
-
-fn mean(places: impl Iterator<Item = [f64; 3]>) -> [f64; 3] {
-    let (mut sum, mut count) = ([0.0; 3], 0.0_f64);
-    for place in places {
-        (sum, count) = (add_scaled(sum, 1.0, place), count + 1.0);
-    }
-    sum.map(|x| x / count.max(1.0))
 }
 
 #[cfg(test)]
@@ -129,7 +121,7 @@ mod tests {
             .map(|i| Camera::look_at([f64::from(i), 0.0, 1.0], [f64::from(i), 5.0, 1.0], up, 50.0, 64, 48))
             .collect();
         for cameras in [around, in_a_row] {
-            let middle = mean(cameras.iter().map(Camera::center));
+            let middle = mean_vector(cameras.iter().map(Camera::center));
             let radius = cameras.iter().map(|camera| distance(camera.center(), middle)).fold(0.0, f64::max);
             let view = overview(&cameras, middle, radius);
             for camera in &cameras {

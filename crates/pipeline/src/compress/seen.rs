@@ -1,11 +1,11 @@
-//! Which Gaussians the training cameras see, or cameras between them.
+//! Which Gaussians the training cameras see, or cameras around them.
 //!
 //! Training removes Gaussians that the colour loss does not miss. Many of the others are hidden, or smaller than a
 //! pixel. Each costs as much as any other. Together they matter little enough for refinement to make up for them.
 
 use std::ops::Range;
 
-use tcgs_core::{Camera, Gaussians, Image, Life, Lives, activate, cameras_between};
+use tcgs_core::{Camera, Gaussians, Image, Life, Lives, activate, cameras_around};
 use tcgs_render::{CpuTiles, weights_step};
 use tcgs_train::are_in_images;
 
@@ -14,18 +14,18 @@ use crate::PipelineError;
 
 /// Timesteps at which is looked, at most.
 const NUM_TIMESTEPS: usize = 30;
-/// Pictures from between the cameras, of all timesteps together. Refinement cannot bring back Gaussians that only these
+/// Pictures from around the cameras, of all timesteps together. Refinement cannot bring back Gaussians that only these
 /// pictures show.
-const NUM_BETWEEN: usize = 48;
+const NUM_AROUND: usize = 48;
 
 /// How much is seen of a Gaussian.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Seen {
-    /// The largest number of pixels that it makes up at a timestep, in images and pictures from between, as a share of
+    /// The largest number of pixels that it makes up at a timestep, in images and pictures from around, as a share of
     /// those of all images.
     pub share: f32,
     /// First timestep from which its share stays below the least, so that it need not live. [`Life::NEVER`] if no
-    /// training camera ever sees it, since there are few pictures from between.
+    /// training camera ever sees it, since there are few pictures from around.
     pub until: u32,
     /// Whether its centre is in an image, hidden or not. If it never is, the images do not tell whether it is needed.
     pub is_in_images: bool,
@@ -47,14 +47,14 @@ pub fn seen(kept: &Kept, lives: &Lives, cameras: &[Camera], least: f32) -> Resul
     let num_pixels: usize = cameras.iter().map(|camera| camera.width * camera.height).sum();
     let num_timesteps = kept.num_timesteps();
     let stride = num_timesteps.div_ceil(NUM_TIMESTEPS);
-    let num_between = NUM_BETWEEN.div_ceil(num_timesteps.div_ceil(stride));
+    let num_around = NUM_AROUND.div_ceil(num_timesteps.div_ceil(stride));
     let mut seen = vec![Seen::default(); kept.num_gaussians()];
     let mut is_seen_in_images = vec![false; seen.len()];
     for timestep in (0..num_timesteps).step_by(stride) {
         // It is not known when between two looks it vanished.
         let until = (timestep + stride).min(num_timesteps);
-        let turn = num_between * (timestep / stride);
-        let between = cameras_between(&cameras, turn..turn + num_between);
+        let turn = num_around * (timestep / stride);
+        let around = cameras_around(&cameras, turn..turn + num_around);
         let gaussians = kept.at(timestep)?;
         let rows_of = |births: Range<usize>| {
             let is_due =
@@ -64,7 +64,7 @@ pub fn seen(kept: &Kept, lives: &Lives, cameras: &[Camera], least: f32) -> Resul
         let (mut rows, newborn) = (rows_of(0..timestep + 1), rows_of(timestep + 1..until));
         let weights_of = |rows: &[usize]| {
             let gaussians = gaussians.select(rows);
-            [&cameras, &between].map(|cameras| weights_of(&gaussians, cameras))
+            [&cameras, &around].map(|cameras| weights_of(&gaussians, cameras))
         };
         let mut weights = weights_of(&rows);
         if !newborn.is_empty() {
@@ -75,13 +75,13 @@ pub fn seen(kept: &Kept, lives: &Lives, cameras: &[Camera], least: f32) -> Resul
             }
         }
         let are_in = are_in_images(gaussians.select(&rows).means(), &cameras);
-        let [in_images, between] = weights;
+        let [in_images, around] = weights;
         for (i, row) in rows.into_iter().enumerate() {
-            let [share, with_between] = [in_images[i], in_images[i] + between[i]].map(|sum| sum / num_pixels as f32);
+            let [share, with_around] = [in_images[i], in_images[i] + around[i]].map(|sum| sum / num_pixels as f32);
             let seen = &mut seen[row];
             seen.is_in_images |= are_in[i];
-            seen.share = seen.share.max(with_between);
-            if with_between >= least {
+            seen.share = seen.share.max(with_around);
+            if with_around >= least {
                 seen.until = until as u32;
             }
             is_seen_in_images[row] |= share >= least;

@@ -3,7 +3,7 @@
 use std::fs;
 
 use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
-use tcgs_core::{Pinhole, distance};
+use tcgs_core::{Pinhole, rotmat_from_quat};
 use tcgs_pipeline::{Backend, new_trainer, settings_for};
 use tcgs_train::Preset;
 
@@ -26,16 +26,15 @@ fn given_points_get_a_shell_that_stays_out_of_the_images() {
     let num_added = closed.num_gaussians() - 4000;
     assert!((10..=200).contains(&num_added), "{num_added} points added to 4000");
     let pinholes: Vec<Pinhole<f32>> = cameras.iter().map(|(_, camera)| Pinhole::new(camera)).collect();
-    for (&mean, log_scales) in closed.means().iter().zip(closed.log_scales()).skip(4000) {
-        for pinhole in &pinholes {
-            assert!(pinhole.pixel(mean).is_none(), "{mean:?} is in an image");
-            // Not even two standard deviations towards the camera's axis reach into an image.
-            let axis_point = pinhole
-                .unproject([pinhole.width as f32 / 2.0, pinhole.height as f32 / 2.0], distance(mean, pinhole.center));
-            let apart = distance(mean, axis_point);
-            let reach = (1.99 * log_scales[0].exp() / apart).min(1.0);
-            let nearer = std::array::from_fn(|c| mean[c] + reach * (axis_point[c] - mean[c]));
-            assert!(pinhole.pixel(nearer).is_none(), "{mean:?} reaches into an image");
+    for (i, &mean) in closed.means().iter().enumerate().skip(4000) {
+        let (rotation, scales) = (rotmat_from_quat(closed.quats()[i]), closed.log_scales()[i].map(f32::exp));
+        for turn in 0..16 {
+            // Two standard deviations from the middle of the disc.
+            let (sin, cos) = (turn as f32 / 16.0 * std::f32::consts::TAU).sin_cos();
+            let [a, b] = [1.99 * scales[0] * cos, 1.99 * scales[1] * sin];
+            let border = std::array::from_fn(|c| mean[c] + a * rotation[c][0] + b * rotation[c][1]);
+            assert!(pinholes.iter().all(|pinhole| pinhole.pixel(mean).is_none()), "{mean:?} is in an image");
+            assert!(pinholes.iter().all(|pinhole| pinhole.pixel(border).is_none()), "{mean:?} reaches into an image");
         }
     }
     for (name, num_points, preset) in [("paper", 4000, Preset::D3dgs), ("few", 900, Preset::Default)] {

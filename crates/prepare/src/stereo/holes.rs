@@ -1,12 +1,12 @@
-//! Closes what no training image shows, by the shell in the colours around: holes that cameras between the training
+//! Closes what no training image shows, by the shell in the colours around: holes that cameras around the training
 //! cameras see, and all directions outside of the images.
 
-use tcgs_core::{Camera, Pinhole, PointCloud, cameras_between, squared_distance};
+use tcgs_core::{Camera, Pinhole, PointCloud, cameras_around, mean_vector, squared_distance};
 
 use super::{BLOCK_PX, StereoSettings, fuse::Point, median, shell::Shell, thin, unmet};
 
-/// Cameras between the training cameras.
-const NUM_BETWEEN: usize = 64;
+/// Cameras around the training cameras, which look for holes.
+const NUM_AROUND: usize = 64;
 /// One point in so many, at most, lies in a hole. These points stand for what is unknown, so they are few and large.
 const POINTS_PER_HOLE: usize = 40;
 /// The shell is closed in one direction for so many points: with 80,000 points every seven degrees.
@@ -24,7 +24,7 @@ const NUM_SAMPLES: usize = 2000;
 const NUM_NEAREST: usize = 8;
 
 /// Adds a sphere around the scene, or the walls of a room, in directions that no training image shows. These directions
-/// lie outside of all images, or cameras between the training cameras meet no point there. Without points, pictures
+/// lie outside of all images, or cameras around the training cameras meet no point there. Without points, pictures
 /// from other cameras are black there. Points by [`stereo_points`](super::stereo_points) have both already.
 ///
 /// - `cloud`: at least one point
@@ -43,12 +43,12 @@ pub fn close_holes(cloud: &PointCloud, cameras: &[Camera]) -> PointCloud {
     let positions: Vec<[f32; 3]> = background.iter().map(|point| point.position).collect();
     let shell = Shell::fit(&pinholes, &positions, 0.0);
 
-    let mut between = between_ends(&between(cameras, factor), std::slice::from_ref(&points), &shell);
+    let mut holes = hole_ends(&around(cameras, factor), std::slice::from_ref(&points), &shell);
     // Given points and density control fill the space that a training image shows.
-    between.retain(|point| pinholes.iter().all(|pinhole| pinhole.pixel(point.position).is_none()));
+    holes.retain(|point| pinholes.iter().all(|pinhole| pinhole.pixel(point.position).is_none()));
     let outside = outside_ends(&pinholes, &shell, points.len());
     let mut closed = cloud.clone();
-    for Point { position, color, .. } in colored(between, outside, &[background], points.len()) {
+    for Point { position, color, .. } in colored(holes, outside, &[background], points.len()) {
         closed.points.push(position);
         closed.colors.push(color);
         closed.foreground.push(all_move);
@@ -56,15 +56,15 @@ pub fn close_holes(cloud: &PointCloud, cameras: &[Camera]) -> PointCloud {
     closed
 }
 
-/// Cameras between others, with images downscaled by a whole factor.
-pub(super) fn between(cameras: &[Camera], factor: usize) -> Vec<Pinhole<f32>> {
-    cameras_between(cameras, 0..NUM_BETWEEN).iter().map(|camera| Pinhole::new(&camera.downscaled(factor))).collect()
+/// Cameras around others, with images downscaled by a whole factor.
+pub(super) fn around(cameras: &[Camera], factor: usize) -> Vec<Pinhole<f32>> {
+    cameras_around(cameras, 0..NUM_AROUND).iter().map(|camera| Pinhole::new(&camera.downscaled(factor))).collect()
 }
 
 /// The ends of rays of cameras that meet no point, one for each block of pixels.
 ///
 /// - `points`: all points so far
-pub(super) fn between_ends(cameras: &[Pinhole<f32>], points: &[Vec<Point>], shell: &Shell) -> Vec<Point> {
+pub(super) fn hole_ends(cameras: &[Pinhole<f32>], points: &[Vec<Point>], shell: &Shell) -> Vec<Point> {
     let of = |camera: &Pinhole<f32>| -> Vec<Point> {
         let middle = |&pixel: &usize| {
             [pixel % camera.width, pixel / camera.width].iter().all(|at| at % BLOCK_PX == BLOCK_PX / 2)
@@ -84,8 +84,7 @@ pub(super) fn between_ends(cameras: &[Pinhole<f32>], points: &[Vec<Point>], shel
 ///
 /// - `num_points`: of the whole cloud
 pub(super) fn outside_ends(cameras: &[Pinhole<f32>], shell: &Shell, num_points: usize) -> Vec<Point> {
-    let sum = cameras.iter().fold([0.0; 3], |sum: [f32; 3], at| std::array::from_fn(|c| sum[c] + at.center[c]));
-    let middle = sum.map(|x| x / cameras.len() as f32);
+    let middle = mean_vector(cameras.iter().map(|camera| camera.center));
     let wider: Vec<Pinhole<f32>> = cameras.iter().map(widened).collect();
     let is_in = |cameras: &[Pinhole<f32>], point: &Point| cameras.iter().any(|at| at.pixel(point.position).is_some());
     let end = |ray: [f32; 3]| {
@@ -123,10 +122,10 @@ fn directions(count: usize) -> impl Iterator<Item = [f32; 3]> {
 
 /// The points of the shell that close it, in the colours of the background that is nearest to each.
 ///
-/// - `between`, `outside`: of [`between_ends`], of which some are taken, and of [`outside_ends`]
+/// - `holes`, `outside`: of [`hole_ends`], of which some are taken, and of [`outside_ends`]
 /// - `num_points`: of the whole cloud
 pub(super) fn colored(
-    between: Vec<Point>,
+    holes: Vec<Point>,
     outside: Vec<Point>,
     background: &[Vec<Point>],
     num_points: usize,
@@ -140,6 +139,6 @@ pub(super) fn colored(
         let colors: Vec<[f32; 3]> = near.iter().take(NUM_NEAREST).map(|&(_, color)| color).collect();
         Point { color: median(&colors), ..point }
     };
-    let between = thin::thin(&[between], num_points / POINTS_PER_HOLE).into_iter().map(|(_, point)| point);
-    between.chain(outside).map(colored).collect()
+    let holes = thin::thin(&[holes], num_points / POINTS_PER_HOLE).into_iter().map(|(_, point)| point);
+    holes.chain(outside).map(colored).collect()
 }

@@ -201,8 +201,8 @@ struct Stereo {
     hull: Hull,
     /// Centres of the hull's outer cubes.
     hull_surface: Vec<[f32; 3]>,
-    /// Cameras between those of the views.
-    between: Vec<Pinhole<f32>>,
+    /// Cameras around those of the views.
+    around: Vec<Pinhole<f32>>,
 }
 
 /// The depths and points on which views agree.
@@ -230,7 +230,7 @@ impl Stereo {
             witnesses: Vec::new(),
             hull: Hull::default(),
             hull_surface: Vec::new(),
-            between: holes::between(&cameras, factors[factors.len() - 1]),
+            around: holes::around(&cameras, factors[factors.len() - 1]),
         };
         report("carving the visual hull");
         let silhouettes: Vec<Silhouette> = stereo
@@ -360,9 +360,9 @@ impl Stereo {
         let background = [visible(background), visible(self.filled(&fused.sure))];
         let mut all = [&foreground[..], &background].concat();
         all.push(visible(self.ended(&all, &shell)));
-        let between = visible(holes::between_ends(&self.between, &all, &shell));
+        let holes = visible(holes::hole_ends(&self.around, &all, &shell));
         let outside = holes::outside_ends(&pinholes, &shell, num_points);
-        let holes = holes::colored(between, outside, &all[2..], num_points);
+        let holes = holes::colored(holes, outside, &all[2..], num_points);
 
         let wanted = if foreground.iter().all(Vec::is_empty) { 0.0 } else { FOREGROUND_SHARE };
         let foreground = thin::thin(&foreground, (wanted * num_points as f64) as usize);

@@ -1,6 +1,6 @@
 //! The surroundings of all measured points: a sphere around the scene, and the flat walls of a room.
 
-use tcgs_core::{Pinhole, cross, distance, dot, length, normalize, sub};
+use tcgs_core::{Pinhole, cross, distance, dot, length, mean_vector, normalize, sub};
 
 use super::patchmatch::Random;
 
@@ -63,7 +63,7 @@ impl Shell {
     /// - `min_radius`: least radius of a shell that is no sphere through points, in distances of the farthest camera
     ///   from the middle of all
     pub fn fit(cameras: &[Pinhole<f32>], points: &[[f32; 3]], min_radius: f32) -> Self {
-        let middle = mean(cameras.iter().map(|camera| camera.center));
+        let middle = mean_vector(cameras.iter().map(|camera| camera.center));
         let spread = cameras.iter().map(|camera| distance(camera.center, middle)).fold(0.0, f32::max);
         let step = points.len().div_ceil(NUM_JUDGES).max(1);
         let judges: Vec<[f32; 3]> = points.iter().step_by(step).copied().collect();
@@ -98,15 +98,6 @@ impl Shell {
         let walls = self.walls.iter().filter_map(|wall| wall.depth(from, ray));
         sphere.into_iter().chain(walls).min_by(f32::total_cmp)
     }
-}
-
-fn mean(points: impl Iterator<Item = [f32; 3]>) -> [f32; 3] {
-    let (mut sum, mut count) = ([0.0; 3], 0.0_f32);
-    for point in points {
-        sum = std::array::from_fn(|i| sum[i] + point[i]);
-        count += 1.0;
-    }
-    sum.map(|x| x / count.max(1.0))
 }
 
 /// The wall on which most points are (Fischler and Bolles 1981).
@@ -153,7 +144,7 @@ fn find_wall(
 
 /// The sphere through points, by least squares of `|p|² = 2 c·p + (r² − |c|²)`; nothing if they are on none.
 fn find_sphere(points: &[[f32; 3]]) -> Option<([f32; 3], f32)> {
-    let middle = mean(points.iter().copied());
+    let middle = mean_vector(points.iter().copied());
     let mut rows = [[0.0_f64; 5]; 4];
     for &point in points {
         let [x, y, z] = sub(point, middle).map(f64::from);

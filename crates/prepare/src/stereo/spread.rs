@@ -69,8 +69,8 @@ fn spread(views: &[View], settings: &StereoSettings) -> Option<Prepared> {
     let farthest = vantages.iter().map(|v| distance(v.pinhole.center, place)).fold(0.0, f32::max);
     let shell = Shell::around(place, SHELL_SHARE * farthest);
     let (maps, witnesses, hull_surface) = (Vec::new(), Vec::new(), Vec::new());
-    let between = Vec::new();
-    let stereo = Stereo { vantages, maps, witnesses, hull: Hull::default(), hull_surface, between };
+    let around = Vec::new();
+    let stereo = Stereo { vantages, maps, witnesses, hull: Hull::default(), hull_surface, around };
     let ended = thin::thin(&[stereo.ended(&[], &shell)], settings.num_points - num_within);
 
     let mut prepared = Prepared::default();

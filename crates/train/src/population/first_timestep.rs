@@ -28,11 +28,11 @@ const RECOVERY: f32 = 1000.0;
 /// Largest share of the Gaussians that one removal by error takes. The others need iterations to take over.
 const MOST_REMOVED: f32 = 0.4;
 
-/// Least opacity, as its logit, of what only cameras between the training cameras show, and of what stands in no image.
+/// Least opacity, as its logit, of what only cameras around the training cameras show, and of what stands in no image.
 /// A wall of points at the initial opacity of 0.5 shows what lies behind it.
 const OPAQUE: f32 = 3.0;
 
-/// Growth of the scales of what only cameras between show, at each removal, as its logarithm. It closes gaps. Gaussians
+/// Growth of the scales of what only cameras around show, at each removal, as its logarithm. It closes gaps. Gaussians
 /// in no image do not grow: they may stand close to other cameras, and would veil them.
 const GROWTH: f32 = 0.3;
 
@@ -107,14 +107,14 @@ impl FirstTimestep {
                 corrections: &state.parameters.corrections(),
             };
             let removal = Removal { share: self.prune_error(), most: MOST_REMOVED, costs: None, seed };
-            let Needed { rows, between } = needed(&[timestep], &removal);
+            let Needed { rows, around } = needed(&[timestep], &removal);
             let num_trained = state.num_trained();
             let fixed = num_trained..state.parameters.num_gaussians();
             let v = state.parameters.gaussians.views_mut();
-            for &i in between.iter().filter(|&&i| i < num_trained) {
+            for &i in around.iter().filter(|&&i| i < num_trained) {
                 v.log_scales[i].iter_mut().for_each(|log_scale| *log_scale += GROWTH);
             }
-            for i in between.into_iter().chain(fixed) {
+            for i in around.into_iter().chain(fixed) {
                 v.logit_opacities[i] = v.logit_opacities[i].max(OPAQUE);
             }
             remove_others(state, &rows);

@@ -7,7 +7,7 @@
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use tcgs_core::{
-    Activated, Camera, Gaussians, Image, Pinhole, View, activate, cameras_between, seen_colors, squared_distance,
+    Activated, Camera, Gaussians, Image, Pinhole, View, activate, cameras_around, seen_colors, squared_distance,
 };
 use tcgs_metrics::psnr;
 use tcgs_render::{CpuRasterizer, CpuTiles, Rasterizer, RenderSettings};
@@ -21,14 +21,14 @@ const PRECISION: usize = 128;
 /// Views that judge how many may go, at most: more cost time, since each is drawn several times.
 const MOST_JUDGES: usize = 32;
 
-/// Pictures from between the cameras, of all timesteps together.
-const NUM_BETWEEN: usize = 128;
+/// Pictures from around the cameras, of all timesteps together.
+const NUM_AROUND: usize = 128;
 
 /// Shorter side of the pictures that tell what shows, pixels, at least; below twice as much.
 const SMALL: usize = 90;
 
-/// How many times as much of a Gaussian a picture from between has to show as any training image, so that it stays.
-const FROM_BETWEEN: f32 = 4.0;
+/// How many times as much of a Gaussian a picture from around has to show as any training image, so that it stays.
+const FROM_AROUND: f32 = 4.0;
 
 /// Without the statistic of densification.
 const SETTINGS: RenderSettings = RenderSettings { background: None, statistic_channels: 0 };
@@ -64,37 +64,37 @@ pub struct Removal<'a> {
 pub struct Needed {
     /// Indices, ascending.
     pub rows: Vec<usize>,
-    /// Gaussians among them that cameras between the training cameras show, and training images hardly. No image tells
+    /// Gaussians among them that cameras around the training cameras show, and training images hardly. No image tells
     /// their opacities. Indices, ascending.
-    pub between: Vec<usize>,
+    pub around: Vec<usize>,
 }
 
 /// Gaussians that stay when as many are removed as the images allow.
 ///
 /// A Gaussian outside of all images stays, because no image tells whether it is needed. So does one that only cameras
-/// between the training cameras show, such as a piece of the wall behind a person.
+/// around the training cameras show, such as a piece of the wall behind a person.
 ///
 /// - `timesteps`: with the same Gaussians, at least one
 pub fn needed(timesteps: &[TimestepViews<'_>], removal: &Removal<'_>) -> Needed {
     let mut errors = vec![0.0; timesteps[0].gaussians.num_gaussians()];
-    // Largest visible sizes in training images, and in pictures from between.
+    // Largest visible sizes in training images, and in pictures from around.
     let mut largest = [errors.clone(), errors.clone()];
     let mut is_in_images = vec![false; errors.len()];
-    let num_between = NUM_BETWEEN.div_ceil(timesteps.len());
+    let num_around = NUM_AROUND.div_ceil(timesteps.len());
     for (i, timestep) in timesteps.iter().enumerate() {
         let cameras: Vec<Camera> = timestep.views.iter().map(|view| view.camera.clone()).collect();
         let of_timestep = removal_errors(timestep.gaussians, timestep.is_hidden, &cameras, removal.seed + i as u64);
         errors.iter_mut().zip(of_timestep).for_each(|(sum, error)| *sum += error);
         let are_in = are_in_images(timestep.gaussians.means(), &cameras);
         is_in_images.iter_mut().zip(are_in).for_each(|(is_in_images, is_in)| *is_in_images |= is_in);
-        let between = cameras_between(&cameras, i * num_between..(i + 1) * num_between);
-        for (largest, cameras) in largest.iter_mut().zip([cameras, between]) {
+        let around = cameras_around(&cameras, i * num_around..(i + 1) * num_around);
+        for (largest, cameras) in largest.iter_mut().zip([cameras, around]) {
             raise_to_sizes(largest, timestep, &cameras);
         }
     }
-    let [of_images, of_between] = largest;
-    let is_between = |i: usize| of_between[i] > FROM_BETWEEN * of_images[i];
-    let may_go = |&i: &usize| is_in_images[i] && !is_between(i);
+    let [of_images, of_around] = largest;
+    let is_around = |i: usize| of_around[i] > FROM_AROUND * of_images[i];
+    let may_go = |&i: &usize| is_in_images[i] && !is_around(i);
     let mut order: Vec<usize> = (0..errors.len()).filter(may_go).collect();
     if let Some(costs) = removal.costs {
         errors.iter_mut().zip(costs).for_each(|(error, cost)| *error /= cost);
@@ -114,7 +114,7 @@ pub fn needed(timesteps: &[TimestepViews<'_>], removal: &Removal<'_>) -> Needed 
     order[..low].iter().for_each(|&i| keeps[i] = false);
     Needed {
         rows: (0..keeps.len()).filter(|&i| keeps[i]).collect(),
-        between: (0..keeps.len()).filter(|&i| is_between(i)).collect(),
+        around: (0..keeps.len()).filter(|&i| is_around(i)).collect(),
     }
 }
 
@@ -292,7 +292,7 @@ mod tests {
             let corrections = &[[[0.0; 3]; 2]; 2];
             let timestep = TimestepViews { gaussians, is_hidden: &[false; 4], views: &views, corrections };
             let needed = needed(&[timestep], &Removal { share: 1e9, most: 0.4, costs: None, seed: 3 });
-            (needed.rows, needed.between)
+            (needed.rows, needed.around)
         };
         // Each camera has one of the first two before the third. From half-way it shows between them.
         assert_eq!(
@@ -323,6 +323,6 @@ mod tests {
         let corrections = &[[[0.0; 3]; 2]; 2];
         let timestep = TimestepViews { gaussians: &gaussians, is_hidden: &[false; 2], views: &views, corrections };
         let needed = needed(&[timestep], &Removal { share: 1e9, most: 0.5, costs: None, seed: 3 });
-        assert_eq!((needed.rows, needed.between), (vec![1], vec![]));
+        assert_eq!((needed.rows, needed.around), (vec![1], vec![]));
     }
 }

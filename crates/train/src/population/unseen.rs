@@ -1,14 +1,16 @@
 //! Points outside of all training images: no loss constrains them, but other cameras see them.
 
 use rayon::prelude::*;
-use tcgs_core::{Camera, Gaussians, Pinhole, PointCloud, normalize, sub};
+use tcgs_core::{
+    Camera, Gaussians, Pinhole, PointCloud, dot, mean_vector, normalize, quat_mul, rotmat_from_unit_quat, sub,
+};
 
 use crate::parameters::MIN_SQUARED_DISTANCE;
 
 /// Standard deviations at which a disc ends before an image. Three leave a dark rim.
 const REACH: f32 = 2.0;
 
-/// Thickness of a disc, as a share of its radius.
+/// Thickness of a disc, as a share of its smaller radius.
 const FLATNESS: f32 = 0.1;
 
 /// Whether each point is in the image of a camera, hidden or not.
@@ -39,22 +41,33 @@ pub(super) fn unseen_last(cloud: &PointCloud, cameras: &[Camera]) -> (PointCloud
 
 /// Makes discs of the Gaussians that are in no image, which face the middle of the cameras. They close the shell around
 /// the scene: balls would reach into the room, and veil cameras close to its walls. The discs shrink until none reaches
-/// into an image, where it would cover trained Gaussians.
+/// into an image, where it would cover trained Gaussians. They shrink towards the nearest image, and less along its edge.
 ///
 /// - `num_unseen`: how many these are, the last ones
 pub(crate) fn keep_out(gaussians: &mut Gaussians, num_unseen: usize, cameras: &[Camera]) {
     let first = gaussians.num_gaussians() - num_unseen;
     let pinholes: Vec<Pinhole<f32>> = cameras.iter().map(Pinhole::new).collect();
-    let sum = pinholes.iter().fold([0.0; 3], |sum: [f32; 3], at| std::array::from_fn(|c| sum[c] + at.center[c]));
-    let middle = sum.map(|x| x / cameras.len() as f32);
+    let middle = mean_vector(pinholes.iter().map(|pinhole| pinhole.center));
     let v = gaussians.views_mut();
     (&mut v.log_scales[first..], &mut v.quats[first..], &v.means[first..]).into_par_iter().for_each(
         |(log_scales, quat, &mean)| {
-            let limit = pinholes.iter().map(|pinhole| outside_by(pinhole, mean)).fold(f32::INFINITY, f32::min);
-            let largest = (limit / REACH).max(MIN_SQUARED_DISTANCE.sqrt()).ln();
-            *log_scales = log_scales.map(|log_scale| log_scale.min(largest));
-            log_scales[2] += FLATNESS.ln();
-            *quat = facing(sub(middle, mean));
+            let edges: Vec<(f32, [f32; 3])> = pinholes.iter().map(|pinhole| edge(pinhole, mean)).collect();
+            let Some(&(nearest, across)) = edges.iter().min_by(|a, b| a.0.total_cmp(&b.0)) else { return };
+            let faces = facing(sub(middle, mean));
+            let [x, y, _] = axes_of(faces);
+            let half_turn = 0.5 * dot(across, y).atan2(dot(across, x));
+            *quat = quat_mul(faces, [half_turn.cos(), 0.0, 0.0, half_turn.sin()]);
+            let [first, second, third] = axes_of(*quat);
+            let radius = log_scales[0].exp();
+            let across = radius.min((nearest / REACH).max(MIN_SQUARED_DISTANCE.sqrt()));
+            // The disc ends at the edge if its standard deviation across the edge is the distance, divided by the reach.
+            let along = edges.iter().map(|&(distance, normal)| {
+                let [a, b, c] = [first, second, third].map(|axis| dot(axis, normal).powi(2));
+                let rest = (distance / REACH).powi(2) - across * across * (a + FLATNESS * FLATNESS * c);
+                (rest / b.max(1e-6)).max(0.0).sqrt()
+            });
+            let along = along.fold(radius, f32::min).max(across);
+            *log_scales = [across, along, FLATNESS * across].map(f32::ln);
         },
     );
 }
@@ -66,16 +79,25 @@ fn facing(direction: [f32; 3]) -> [f32; 4] {
     if z > -0.999 { normalize([1.0 + z, -y, x, 0.0]) } else { [0.0, 1.0, 0.0, 0.0] }
 }
 
-/// A lower bound of the distance between a point and what a camera sees, scene units; 0 or less inside.
-fn outside_by(pinhole: &Pinhole<f32>, point: [f32; 3]) -> f32 {
-    let [x, y, z] = pinhole.camera_point(point);
-    let size = [pinhole.width as f32, pinhole.height as f32];
-    // Distances from the planes through the camera and an edge of the image.
-    let beyond = |i: usize, at: f32| {
-        let (focal, low, high) = (pinhole.focal[i], pinhole.principal[i], size[i] - pinhole.principal[i]);
-        (-(at * focal + z * low) / focal.hypot(low)).max((at * focal - z * high) / focal.hypot(high))
-    };
-    beyond(0, x).max(beyond(1, y)).max(-z)
+/// The axes of a rotation, as unit vectors.
+fn axes_of(unit_quat: [f32; 4]) -> [[f32; 3]; 3] {
+    let rotation = rotmat_from_unit_quat(unit_quat);
+    std::array::from_fn(|axis| rotation.map(|row| row[axis]))
+}
+
+/// The plane between a point and what a camera sees that is farthest from the point: through the camera and an edge of
+/// the image, or across the camera's axis.
+///
+/// - returns: the distance from the plane, scene units, 0 or less inside; the plane's unit normal towards the point
+fn edge(pinhole: &Pinhole<f32>, point: [f32; 3]) -> (f32, [f32; 3]) {
+    let at = pinhole.camera_point(point);
+    let ([fx, fy], [cx, cy]) = (pinhole.focal, pinhole.principal);
+    let [right, bottom] = [pinhole.width as f32 - cx, pinhole.height as f32 - cy];
+    let normals = [[-fx, 0.0, -cx], [fx, 0.0, -right], [0.0, -fy, -cy], [0.0, fy, -bottom], [0.0, 0.0, -1.0]];
+    let planes = normals.map(normalize).map(|normal| (dot(normal, at), normal));
+    let (distance, normal) = planes.into_iter().fold(planes[0], |a, b| if b.0 > a.0 { b } else { a });
+    let of_world = |c: usize| (0..3).map(|row| pinhole.rotation[row][c] * normal[row]).sum();
+    (distance, std::array::from_fn(of_world))
 }
 
 #[cfg(test)]
@@ -133,7 +155,37 @@ mod tests {
             let towards = normalize([-x, -y, -4.0 - z]);
             assert!(tcgs_core::distance(axis, towards) < 1e-5, "{i}: {axis:?} instead of {towards:?}");
             let [a, b, c] = after.log_scales()[i];
-            assert!(a == b && (c - a - FLATNESS.ln()).abs() < 1e-5, "{i}");
+            assert!(a <= b && (c - a - FLATNESS.ln()).abs() < 1e-5, "{i}");
         }
+    }
+
+    #[test]
+    fn a_disc_ends_before_all_images_and_is_longer_along_the_nearest_edge() {
+        let camera = |x: f64| Camera::look_at([x, 0.5, -4.0], [0.3 * x, 0.0, 0.0], [0.0, -1.0, 0.0], 60.0, 64, 48);
+        let cameras = [camera(-0.5), camera(0.5), camera(0.0)];
+        let points: Vec<[f32; 3]> = (0..40)
+            .map(|i| 0.157 * i as f32)
+            .map(|angle| [2.9 * angle.cos() + 0.3, 2.7 * angle.sin(), 0.1 * angle.sin()])
+            .filter(|&point| !are_in_images(&[point], &cameras)[0])
+            .collect();
+        let count = points.len();
+        assert!(count > 20);
+        let cloud = PointCloud { colors: points.clone(), points: points.clone(), foreground: vec![false; count] };
+        let mut discs = Parameters::from_cloud(&cloud, 1, 0.0).gaussians;
+        discs.log_scales_mut().fill([0.0; 3]);
+        keep_out(&mut discs, count, &cameras);
+        let pinholes = cameras.each_ref().map(Pinhole::<f32>::new);
+        let mut num_long = 0;
+        for ((&mean, &quat), log_scales) in points.iter().zip(discs.quats()).zip(discs.log_scales()) {
+            let ([first, second, _], [across, along, _]) = (axes_of(quat), log_scales.map(f32::exp));
+            for turn in 0..32 {
+                let (sin, cos) = (turn as f32 / 32.0 * std::f32::consts::TAU).sin_cos();
+                let scaled = [0.999 * REACH * across * cos, 0.999 * REACH * along * sin];
+                let border: [f32; 3] = std::array::from_fn(|c| mean[c] + scaled[0] * first[c] + scaled[1] * second[c]);
+                assert!(pinholes.iter().all(|pinhole| pinhole.pixel(border).is_none()), "{mean:?} reaches {border:?}");
+            }
+            num_long += usize::from(along > 2.0 * across);
+        }
+        assert!(2 * num_long > count, "{num_long} of {count}");
     }
 }
