@@ -66,12 +66,12 @@ fn cameras_within(cameras: &[Camera], of: Range<usize>, aside: f64) -> Vec<Camer
 /// The camera between three. Its distance from the point that they look at is their mean distance. It would
 /// stand inside of their dome otherwise.
 ///
-/// - `aside`: angle by which the camera turns around that point, and the angle of this turn's axis in the image, radians
+/// - `angle`, `tilt`: by which the camera turns around that point, and of the turn's axis in the image, radians
 fn mixed(
     cameras: &[Camera; 3],
     weights: [f64; 3],
     [width, height]: [usize; 2],
-    [aside, axis]: [f64; 2],
+    [angle, tilt]: [f64; 2],
 ) -> Option<Camera> {
     let mean = |values: [f64; 3]| dot(values, weights);
     let numbers = cameras.each_ref().map(|camera| numbers_of(&camera.fitted(width, height)));
@@ -83,8 +83,8 @@ fn mixed(
         let outward = mean(cameras.each_ref().map(|c| distance(c.center(), focus))) / distance(center, focus);
         let moved = add_scaled(focus, outward.clamp(1.0, MAX_OUTWARD), sub(center, focus));
         let [forward, down] = [3, 6].map(|first| from_fn(|i| mixed[first + i]));
-        let axis = normalize(add_scaled(cross(down, forward).map(|x| axis.cos() * x), axis.sin(), down));
-        let turned = [sub(moved, focus), forward, down].map(|v| turned(v, axis, aside));
+        let axis = normalize(add_scaled(cross(down, forward).map(|x| tilt.cos() * x), tilt.sin(), down));
+        let turned = [sub(moved, focus), forward, down].map(|v| turned(v, axis, angle));
         mixed[..9].copy_from_slice([add_scaled(focus, 1.0, turned[0]), turned[1], turned[2]].as_flattened());
     }
     camera_of(&mixed, [width, height]).ok()

@@ -41,7 +41,8 @@ pub(super) fn unseen_last(cloud: &PointCloud, cameras: &[Camera]) -> (PointCloud
 
 /// Makes discs of the Gaussians that are in no image, which face the middle of the cameras. They close the shell around
 /// the scene: balls would reach into the room, and veil cameras close to its walls. The discs shrink until none reaches
-/// into an image, where it would cover trained Gaussians. They shrink towards the nearest image, and less along its edge.
+/// into an image, where it would cover trained Gaussians. They shrink most towards the nearest image, and less along its
+/// edge.
 ///
 /// - `num_unseen`: how many these are, the last ones
 pub(crate) fn keep_out(gaussians: &mut Gaussians, num_unseen: usize, cameras: &[Camera]) {
@@ -52,24 +53,34 @@ pub(crate) fn keep_out(gaussians: &mut Gaussians, num_unseen: usize, cameras: &[
     (&mut v.log_scales[first..], &mut v.quats[first..], &v.means[first..]).into_par_iter().for_each(
         |(log_scales, quat, &mean)| {
             let edges: Vec<(f32, [f32; 3])> = pinholes.iter().map(|pinhole| edge(pinhole, mean)).collect();
-            let Some(&(nearest, across)) = edges.iter().min_by(|a, b| a.0.total_cmp(&b.0)) else { return };
-            let faces = facing(sub(middle, mean));
-            let [x, y, _] = axes_of(faces);
-            let half_turn = 0.5 * dot(across, y).atan2(dot(across, x));
-            *quat = quat_mul(faces, [half_turn.cos(), 0.0, 0.0, half_turn.sin()]);
-            let [first, second, third] = axes_of(*quat);
-            let radius = log_scales[0].exp();
-            let across = radius.min((nearest / REACH).max(MIN_SQUARED_DISTANCE.sqrt()));
-            // The disc ends at the edge if its standard deviation across the edge is the distance, divided by the reach.
-            let along = edges.iter().map(|&(distance, normal)| {
-                let [a, b, c] = [first, second, third].map(|axis| dot(axis, normal).powi(2));
-                let rest = (distance / REACH).powi(2) - across * across * (a + FLATNESS * FLATNESS * c);
-                (rest / b.max(1e-6)).max(0.0).sqrt()
-            });
-            let along = along.fold(radius, f32::min).max(across);
-            *log_scales = [across, along, FLATNESS * across].map(f32::ln);
+            let scales;
+            (*quat, scales) = disc(facing(sub(middle, mean)), log_scales[0].exp(), &edges);
+            *log_scales = scales.map(f32::ln);
         },
     );
+}
+
+/// The largest disc up to a radius that ends before images: as large across the nearest edge as this allows, and then as
+/// large along it as all edges allow.
+///
+/// - `faces`: rotation whose third axis is the disc's
+/// - `edges`: distance from an edge of each image, scene units, and the unit normal of the edge's plane
+/// - returns: rotation, as a unit quaternion, and scales
+fn disc(faces: [f32; 4], radius: f32, edges: &[(f32, [f32; 3])]) -> ([f32; 4], [f32; 3]) {
+    let (nearest, normal) = edges.iter().fold((f32::INFINITY, [1.0, 0.0, 0.0]), |a, &b| if b.0 < a.0 { b } else { a });
+    let [x, y, _] = axes_of(faces);
+    let half_turn = 0.5 * dot(normal, y).atan2(dot(normal, x));
+    let quat = quat_mul(faces, [half_turn.cos(), 0.0, 0.0, half_turn.sin()]);
+    let axes = axes_of(quat);
+    let across = radius.min((nearest / REACH).max(MIN_SQUARED_DISTANCE.sqrt()));
+    // A disc ends at an edge if its standard deviation across it is the distance from it, divided by the reach.
+    let along = edges.iter().map(|&(distance, normal)| {
+        let [a, b, c] = axes.map(|axis| dot(axis, normal).powi(2));
+        let rest = (distance / REACH).powi(2) - across * across * (a + FLATNESS * FLATNESS * c);
+        (rest / b.max(1e-6)).max(0.0).sqrt()
+    });
+    let along = along.fold(radius, f32::min).max(across);
+    (quat, [across, along, FLATNESS * across])
 }
 
 /// A rotation that turns the third axis towards a direction, as a unit quaternion.
