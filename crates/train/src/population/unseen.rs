@@ -162,7 +162,7 @@ mod tests {
         keep_out(&mut after, 3, std::slice::from_ref(&camera));
         assert_eq!((after.quats()[0], after.log_scales()[0]), (before.quats()[0], before.log_scales()[0]));
         for (i, &[x, y, z]) in points.iter().enumerate().skip(1) {
-            let axis = tcgs_core::rotmat_from_unit_quat(after.quats()[i]).map(|row| row[2]);
+            let axis = axes_of(after.quats()[i])[2];
             let towards = normalize([-x, -y, -4.0 - z]);
             assert!(tcgs_core::distance(axis, towards) < 1e-5, "{i}: {axis:?} instead of {towards:?}");
             let [a, b, c] = after.log_scales()[i];
