@@ -145,13 +145,14 @@ mod tests {
         let [between, around] = [cameras_between, cameras_around].map(|of| of(&ring(&[0.0, 30.0]), 0..60));
         let turns = between.iter().zip(&around).map(|(between, around)| {
             let [a, b] = [between, around].map(|camera| sub(camera.center(), [1.0, 2.0, 3.0]));
-            assert!((length(b) - length(a)).abs() < 1e-9);
+            // What they look at is the point nearest to their axes, and about the ring's middle.
+            assert!((length(b) - length(a)).abs() < 0.05, "{b:?} instead of {a:?}");
             let looks = [between, around].map(|camera| dot(sub(camera.center(), [1.0, 2.0, 3.0]), camera.forward()));
-            assert!((looks[0] - looks[1]).abs() < 1e-9, "what is looked at stays in its place");
+            assert!((looks[0] - looks[1]).abs() < 0.05, "what is looked at stays in its place");
             (dot(a, b) / (length(a) * length(b))).min(1.0).acos().to_degrees()
         });
         let turns: Vec<f64> = turns.collect();
-        assert!(turns.iter().all(|&turn| turn <= AROUND_DEGREES + 1e-6));
+        assert!(turns.iter().all(|&turn| turn <= AROUND_DEGREES + 0.2));
         assert!(turns.iter().filter(|&&turn| turn > 0.7 * AROUND_DEGREES).count() > 20, "{turns:?}");
         let lowest = around.iter().map(|camera| camera.center()[1]).fold(f64::INFINITY, f64::min);
         assert!(lowest < 2.0 - 4.0 * 0.2, "out of the ring's plane, too: {lowest}");

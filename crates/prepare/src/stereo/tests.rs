@@ -45,7 +45,8 @@ fn points_lie_on_the_true_surfaces() {
     check(&prepared, true, Origin::Hull, 100, [(0.5, 0.03), (0.9, 0.06)]);
     check(&prepared, false, Origin::Triangulated, 3000, [(0.5, 0.015), (0.9, 0.1)]);
     check(&prepared, false, Origin::Filled, 300, [(0.5, 0.16), (0.9, 0.45)]);
-    check(&in_images(&prepared, &capture), false, Origin::Shell, 100, [(0.5, 0.25), (0.9, 0.6)]);
+    // Some close holes that only cameras around see. What is there is a guess.
+    check(&in_images(&prepared, &capture), false, Origin::Shell, 100, [(0.5, 0.25), (0.9, 0.7)]);
     assert!(!are_far_apart(&capture.views(Split::Train, 0, 1).unwrap()));
     assert!((6000..=8000).contains(&prepared.cloud.points.len()), "{}", prepared.cloud.points.len());
     assert!((0.2..1.0).contains(&prepared.agreement), "{}", prepared.agreement);
@@ -85,8 +86,8 @@ fn the_shell_is_closed_in_all_directions() {
     let prepared = prepared(&capture, &StereoSettings { num_points: 8000, ..StereoSettings::default() });
     let cloud = &prepared.cloud;
     let num_outside = cloud.points.len() - in_images(&prepared, &capture).cloud.points.len();
-    // 80 directions lie evenly, and up to a fiftieth of the points beside images.
-    assert!((100..=240).contains(&num_outside), "{num_outside} points are outside of all images");
+    // 80 directions lie evenly, up to a fiftieth of the points beside images, and up to a fortieth in holes.
+    assert!((100..=440).contains(&num_outside), "{num_outside} points are outside of all images");
     let cameras: Vec<Camera> = capture.cameras(Split::Train, 0, 1).unwrap().into_iter().map(|(_, at)| at).collect();
     assert_closed(cloud, &cameras);
     // Colours of walls, not black.
