@@ -41,8 +41,8 @@ pub(super) fn unseen_last(cloud: &PointCloud, cameras: &[Camera]) -> (PointCloud
 
 /// Makes discs of the Gaussians that are in no image, which face the middle of the cameras. They close the shell around
 /// the scene: balls would reach into the room, and veil cameras close to its walls. The discs shrink until none reaches
-/// into an image, where it would cover trained Gaussians. They shrink most towards the nearest image, and less along its
-/// edge.
+/// into an image, where it would cover trained Gaussians. They shrink most towards the nearest image, and less along
+/// its edge.
 ///
 /// - `num_unseen`: how many these are, the last ones
 pub(crate) fn keep_out(gaussians: &mut Gaussians, num_unseen: usize, cameras: &[Camera]) {
@@ -60,8 +60,8 @@ pub(crate) fn keep_out(gaussians: &mut Gaussians, num_unseen: usize, cameras: &[
     );
 }
 
-/// The largest disc up to a radius that ends before images: as large across the nearest edge as this allows, and then as
-/// large along it as all edges allow.
+/// The largest disc up to a radius that ends before images. It is as large across the nearest edge as this allows, and
+/// then as large along it as all edges allow.
 ///
 /// - `faces`: rotation whose third axis is the disc's
 /// - `edges`: distance from an edge of each image, scene units, and the unit normal of the edge's plane
