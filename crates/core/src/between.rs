@@ -6,7 +6,7 @@ use std::ops::Range;
 
 use crate::camera_path::{camera_of, numbers_of};
 use crate::subject::{PARALLEL, nearest_to_axes};
-use crate::{Camera, add_scaled, cross, distance, dot, normalize, squared_distance, sub};
+use crate::{Camera, add_scaled, cross, distance, dot, normalize, rotmat_from_vector, squared_distance, sub};
 
 /// Least cosine of the angle between the directions of neighbours. Half-way between cameras that face each other is the
 /// subject.
@@ -84,17 +84,11 @@ fn mixed(
         let moved = add_scaled(focus, outward.clamp(1.0, MAX_OUTWARD), sub(center, focus));
         let [forward, down] = [3, 6].map(|first| from_fn(|i| mixed[first + i]));
         let axis = normalize(add_scaled(cross(down, forward).map(|x| tilt.cos() * x), tilt.sin(), down));
-        let turned = [sub(moved, focus), forward, down].map(|v| turned(v, axis, angle));
+        let rotation = rotmat_from_vector(axis.map(|x| angle * x));
+        let turned = [sub(moved, focus), forward, down].map(|v| rotation.map(|row| dot(row, v)));
         mixed[..9].copy_from_slice([add_scaled(focus, 1.0, turned[0]), turned[1], turned[2]].as_flattened());
     }
     camera_of(&mixed, [width, height]).ok()
-}
-
-/// A vector turned around a unit axis (Rodrigues 1840).
-fn turned(v: [f64; 3], axis: [f64; 3], angle: f64) -> [f64; 3] {
-    let (sin, cos) = angle.sin_cos();
-    let around = add_scaled(v.map(|x| cos * x), sin, cross(axis, v));
-    add_scaled(around, (1.0 - cos) * dot(axis, v), axis)
 }
 
 /// The nearest cameras that do not face a camera, the nearest first.
@@ -145,7 +139,7 @@ mod tests {
         let [between, around] = [cameras_between, cameras_around].map(|of| of(&ring(&[0.0, 30.0]), 0..60));
         let turns = between.iter().zip(&around).map(|(between, around)| {
             let [a, b] = [between, around].map(|camera| sub(camera.center(), [1.0, 2.0, 3.0]));
-            // What they look at is the point nearest to their axes, and about the ring's middle.
+            // The turn is around the point nearest to the axes. That is about the middle of the ring, not exactly.
             assert!((length(b) - length(a)).abs() < 0.05, "{b:?} instead of {a:?}");
             let looks = [between, around].map(|camera| dot(sub(camera.center(), [1.0, 2.0, 3.0]), camera.forward()));
             assert!((looks[0] - looks[1]).abs() < 0.05, "what is looked at stays in its place");

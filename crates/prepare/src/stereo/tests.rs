@@ -46,7 +46,7 @@ fn points_lie_on_the_true_surfaces() {
     check(&prepared, false, Origin::Triangulated, 3000, [(0.5, 0.015), (0.9, 0.1)]);
     check(&prepared, false, Origin::Filled, 300, [(0.5, 0.16), (0.9, 0.45)]);
     // Some close holes that only cameras around see. Their depth is a guess.
-    check(&in_images(&prepared, &capture), false, Origin::Shell, 100, [(0.5, 0.25), (0.9, 0.7)]);
+    check(&in_images(&prepared, &capture), false, Origin::Shell, 100, [(0.5, 0.25), (0.9, 0.65)]);
     assert!(!are_far_apart(&capture.views(Split::Train, 0, 1).unwrap()));
     assert!((6000..=8000).contains(&prepared.cloud.points.len()), "{}", prepared.cloud.points.len());
     assert!((0.2..1.0).contains(&prepared.agreement), "{}", prepared.agreement);
