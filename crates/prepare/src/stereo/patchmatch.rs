@@ -3,7 +3,11 @@
 //! A hypothesis is a plane, written as inverse depth over the image. The inverse depth of a plane is linear in the
 //! pixel. A slanted surface therefore needs three numbers, and carrying a plane to the next pixel two multiplications.
 //! Good hypotheses spread from pixel to pixel; random changes refine them.
+//!
+//! Nearly all time goes into correlations of windows. They are written for vectors of [`LANES`] samples, compiled for
+//! AVX2 as well, without fused multiply-adds: the bits are the same on all machines.
 
+use multiversion::multiversion;
 use tcgs_core::{distance, dot};
 
 use tcgs_core::Pinhole;
@@ -17,6 +21,16 @@ const WINDOW_STEPS: i32 = 2;
 /// Pixels between two samples of a window.
 const WINDOW_SPACING: i32 = 2;
 const WINDOW_SAMPLES: usize = ((2 * WINDOW_STEPS + 1) * (2 * WINDOW_STEPS + 1)) as usize;
+/// Samples computed at a time.
+const LANES: usize = 8;
+/// Samples of a window with those that fill up the last vector. These lie in the middle and have no weight.
+const PADDED: usize = WINDOW_SAMPLES.next_multiple_of(LANES);
+/// Columns and rows of the samples from the middle, in steps.
+const OFFSETS: [[f32; PADDED]; 2] = offsets();
+/// Adding this rounds to an integer, which the low bits of the mantissa then hold.
+const ROUND: f32 = 12_582_912.0;
+/// The bits of the integer.
+const INTEGER: u32 = (1 << 22) - 1;
 /// Grey levels by which a sample may differ from the window's middle before it counts little: across the edge of an
 /// object the depth is different.
 const EDGE_CONTRAST: f32 = 0.12;
@@ -34,6 +48,18 @@ pub(super) const MIN_DIRECTION_COSINE: f32 = 0.4;
 const FARTHEST: f32 = 1e6;
 /// ... and the least ratio of farthest to nearest depth.
 const FARTHEST_OF_NEAREST: f32 = 1e3;
+
+const fn offsets() -> [[f32; PADDED]; 2] {
+    let side = 2 * WINDOW_STEPS as usize + 1;
+    let mut offsets = [[0.0; PADDED]; 2];
+    let mut i = 0;
+    while i < WINDOW_SAMPLES {
+        offsets[0][i] = (i % side) as f32 - WINDOW_STEPS as f32;
+        offsets[1][i] = (i / side) as f32 - WINDOW_STEPS as f32;
+        i += 1;
+    }
+    offsets
+}
 
 /// Inverse depth over the image.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -133,9 +159,9 @@ impl<'a> SourceView<'a> {
 
 /// The window around a pixel, its weights adding up to 1.
 struct Window {
-    weights: [f32; WINDOW_SAMPLES],
+    weights: [f32; PADDED],
     /// Minus their weighted mean.
-    values: [f32; WINDOW_SAMPLES],
+    values: [f32; PADDED],
     variance: f32,
 }
 
@@ -165,53 +191,14 @@ impl Search<'_> {
                 }
             })
             .collect();
-        let costs = (0..num_pixels).map(|pixel| self.cost(&self.window(pixel), pixel, planes[pixel])).collect();
+        let costs = costs(self, &planes);
         DepthMap { planes, costs }
     }
 
     /// Sweeps over all pixels `sweeps` times, in alternating directions.
     pub fn refine(&self, map: &mut DepthMap, sweeps: usize) {
-        let (width, height) = (self.vantage.pinhole.width, self.vantage.pinhole.height);
-        let num_pixels = width * height;
-        for sweep in 0..sweeps {
-            let back = sweep % 2 == 1;
-            for step in 0..num_pixels {
-                let pixel = if back { num_pixels - 1 - step } else { step };
-                let (x, y) = (pixel % width, pixel / width);
-                let window = self.window(pixel);
-                let mut best = (map.costs[pixel], map.planes[pixel]);
-                let mut consider = |plane: Plane| {
-                    let plane = self.limited(pixel, plane);
-                    let cost = self.cost(&window, pixel, plane);
-                    if cost < best.0 {
-                        best = (cost, plane);
-                    }
-                    best.1
-                };
-                let (has_side, has_above) = if back { (x + 1 < width, y + 1 < height) } else { (x > 0, y > 0) };
-                let toward = if back { -1.0 } else { 1.0 };
-                if has_side {
-                    consider(map.planes[if back { pixel + 1 } else { pixel - 1 }].moved(toward, 0.0));
-                }
-                if has_above {
-                    consider(map.planes[if back { pixel + width } else { pixel - width }].moved(0.0, toward));
-                }
-                let mut random = Random::new(self.seed ^ (sweep as u64 + 1).wrapping_mul(0x9e37_79b9), pixel as u64);
-                let [from, to] = self.ranges[pixel];
-                let mut reach = 0.5_f32.powi(sweep as i32 + 1);
-                let mut current = map.planes[pixel];
-                for _ in 0..3 {
-                    let slope = |i: usize, random: &mut Random| {
-                        current.gradient[i]
-                            + reach * random.signed() * current.inverse_depth / self.vantage.pinhole.focal[i]
-                    };
-                    let gradient = [slope(0, &mut random), slope(1, &mut random)];
-                    let inverse_depth = current.inverse_depth + reach * (to - from) * random.signed();
-                    current = consider(Plane { inverse_depth, gradient });
-                    reach *= 0.2;
-                }
-                (map.costs[pixel], map.planes[pixel]) = best;
-            }
+        for number in 0..sweeps {
+            sweep(self, map, number);
         }
     }
 
@@ -229,7 +216,7 @@ impl Search<'_> {
         let Vantage { pinhole, gray, mask, .. } = self.vantage;
         let (x, y) = ((pixel % pinhole.width) as i32, (pixel / pinhole.width) as i32);
         let middle = gray[pixel];
-        let (mut weights, mut values) = ([0.0; WINDOW_SAMPLES], [0.0; WINDOW_SAMPLES]);
+        let (mut weights, mut values) = ([0.0; PADDED], [0.0; PADDED]);
         let (mut sum, mut mean) = (0.0, 0.0);
         let mut i = 0;
         for dy in -WINDOW_STEPS..=WINDOW_STEPS {
@@ -248,7 +235,7 @@ impl Search<'_> {
         }
         mean /= sum;
         let mut variance = 0.0;
-        for (weight, value) in weights.iter_mut().zip(&mut values) {
+        for (weight, value) in weights.iter_mut().zip(&mut values).take(WINDOW_SAMPLES) {
             *weight /= sum;
             *value -= mean;
             variance += *weight * *value * *value;
@@ -257,24 +244,91 @@ impl Search<'_> {
     }
 
     /// Mean over the better half of the other views: in the rest the place may be occluded.
-    fn cost(&self, window: &Window, pixel: usize, plane: Plane) -> f32 {
-        if self.sources.is_empty() {
+    ///
+    /// - returns: the mean, or infinity once it is certain that the mean is at least `limit`
+    #[inline(always)]
+    fn cost(&self, window: &Window, pixel: usize, plane: Plane, limit: f32) -> f32 {
+        let count = self.sources.len();
+        if count == 0 {
             return OUTSIDE_COST;
         }
         let place = self.vantage.pinhole.pixel_center(pixel);
-        let mut costs = [OUTSIDE_COST; MAX_SOURCES];
-        let count = self.sources.len();
-        for (cost, source) in costs.iter_mut().zip(&self.sources) {
-            *cost = source.cost(window, place, plane);
-        }
-        let costs = &mut costs[..count];
-        costs.sort_unstable_by(f32::total_cmp);
         let used = count.div_ceil(2);
+        // The costs so far, ascending.
+        let mut costs = [f32::INFINITY; MAX_SOURCES];
+        for (done, source) in self.sources.iter().enumerate() {
+            let mut cost = source.cost(window, place, plane);
+            for other in &mut costs[..=done] {
+                if cost < *other {
+                    std::mem::swap(&mut cost, other);
+                }
+            }
+            // The views to come may cost nothing.
+            let certain = used.saturating_sub(count - done - 1);
+            if costs[..certain].iter().sum::<f32>() >= limit * used as f32 {
+                return f32::INFINITY;
+            }
+        }
         costs[..used].iter().sum::<f32>() / used as f32
     }
 }
 
+/// The cost of each pixel's plane.
+#[multiversion(targets("x86_64+avx2"))]
+fn costs(search: &Search, planes: &[Plane]) -> Vec<f32> {
+    let cost = |(pixel, &plane)| search.cost(&search.window(pixel), pixel, plane, f32::INFINITY);
+    planes.iter().enumerate().map(cost).collect()
+}
+
+/// Takes planes from the pixels before, and changes them at random.
+///
+/// - `number`: of sweeps before; every other one goes backwards
+#[multiversion(targets("x86_64+avx2"))]
+fn sweep(search: &Search, map: &mut DepthMap, number: usize) {
+    let (width, height) = (search.vantage.pinhole.width, search.vantage.pinhole.height);
+    let num_pixels = width * height;
+    let back = number % 2 == 1;
+    for step in 0..num_pixels {
+        let pixel = if back { num_pixels - 1 - step } else { step };
+        let (x, y) = (pixel % width, pixel / width);
+        let window = search.window(pixel);
+        let mut best = (map.costs[pixel], map.planes[pixel]);
+        let mut consider = |plane: Plane| {
+            let plane = search.limited(pixel, plane);
+            let cost = search.cost(&window, pixel, plane, best.0);
+            if cost < best.0 {
+                best = (cost, plane);
+            }
+            best.1
+        };
+        let (has_side, has_above) = if back { (x + 1 < width, y + 1 < height) } else { (x > 0, y > 0) };
+        let toward = if back { -1.0 } else { 1.0 };
+        if has_side {
+            consider(map.planes[if back { pixel + 1 } else { pixel - 1 }].moved(toward, 0.0));
+        }
+        if has_above {
+            consider(map.planes[if back { pixel + width } else { pixel - width }].moved(0.0, toward));
+        }
+        let mut random = Random::new(search.seed ^ (number as u64 + 1).wrapping_mul(0x9e37_79b9), pixel as u64);
+        let [from, to] = search.ranges[pixel];
+        let mut reach = 0.5_f32.powi(number as i32 + 1);
+        let mut current = map.planes[pixel];
+        for _ in 0..3 {
+            let slope = |i: usize, random: &mut Random| {
+                current.gradient[i] + reach * random.signed() * current.inverse_depth / search.vantage.pinhole.focal[i]
+            };
+            let gradient = [slope(0, &mut random), slope(1, &mut random)];
+            let inverse_depth = current.inverse_depth + reach * (to - from) * random.signed();
+            current = consider(Plane { inverse_depth, gradient });
+            reach *= 0.2;
+        }
+        (map.costs[pixel], map.planes[pixel]) = best;
+    }
+}
+
 impl SourceView<'_> {
+    /// One minus the correlation of the window with its place in this view, at least 0.
+    #[inline(always)]
     fn cost(&self, window: &Window, [x, y]: [f32; 2], plane: Plane) -> f32 {
         let (m, e) = (&self.image_from_image, self.epipole);
         let (width, height) = (self.vantage.pinhole.width, self.vantage.pinhole.height);
@@ -287,36 +341,50 @@ impl SourceView<'_> {
         if !inside {
             return OUTSIDE_COST;
         }
-        let (mut mean, mut square, mut product) = (0.0, 0.0, 0.0);
-        let mut i = 0;
-        for dy in -WINDOW_STEPS..=WINDOW_STEPS {
-            for dx in -WINDOW_STEPS..=WINDOW_STEPS {
-                let at = |k: usize| middle[k] + dx as f32 * step_x[k] + dy as f32 * step_y[k];
-                let inverse = 1.0 / at(2).max(1e-6);
-                let value = bilinear(&self.vantage.gray, width, height, at(0) * inverse, at(1) * inverse);
-                let weighted = window.weights[i] * value;
-                mean += weighted;
-                square += weighted * value;
-                product += weighted * window.values[i];
-                i += 1;
+        // Bilinear interpolation between the four nearest pixel centres; the border extends outside.
+        let most = [width, height].map(|side| (side - 1) as f32 - 1e-3);
+        let (mut parts, mut places) = ([[0.0; PADDED]; 2], [0; PADDED]);
+        for i in 0..PADDED {
+            let at = |k: usize| middle[k] + OFFSETS[0][i] * step_x[k] + OFFSETS[1][i] * step_y[k];
+            let depth = at(2);
+            let inverse = 1.0 / if depth > 1e-6 { depth } else { 1e-6 };
+            let (x, y) = (within(at(0) * inverse - 0.5, most[0]), within(at(1) * inverse - 0.5, most[1]));
+            // Pixels to the left and above. On a pixel's centre they may be the ones before it, at a part of 1.
+            let (left, top) = (x - 0.5 + ROUND, y - 0.5 + ROUND);
+            (parts[0][i], parts[1][i]) = (x - (left - ROUND), y - (top - ROUND));
+            places[i] = (top.to_bits() & INTEGER) * width as u32 + (left.to_bits() & INTEGER);
+        }
+        let mut corners = [[0.0; PADDED]; 4];
+        for i in 0..WINDOW_SAMPLES {
+            let rows = &self.vantage.gray[places[i] as usize..][..width + 2];
+            for (corner, value) in corners.iter_mut().zip([rows[0], rows[1], rows[width], rows[width + 1]]) {
+                corner[i] = value;
             }
         }
+        let mut sums = [[0.0; LANES]; 3];
+        for first in (0..PADDED).step_by(LANES) {
+            for lane in 0..LANES {
+                let i = first + lane;
+                let above = corners[0][i] + parts[0][i] * (corners[1][i] - corners[0][i]);
+                let below = corners[2][i] + parts[0][i] * (corners[3][i] - corners[2][i]);
+                let value = above + parts[1][i] * (below - above);
+                let weighted = window.weights[i] * value;
+                sums[0][lane] += weighted;
+                sums[1][lane] += weighted * value;
+                sums[2][lane] += weighted * window.values[i];
+            }
+        }
+        let [mean, square, product] = sums.map(|lanes| lanes.iter().sum::<f32>());
         let variance = (square - mean * mean).max(0.0);
         1.0 - product / ((window.variance + NOISE_VARIANCE) * (variance + NOISE_VARIANCE)).sqrt()
     }
 }
 
-/// Bilinear interpolation between the four nearest pixel centres; the border extends outside.
-fn bilinear(values: &[f32], width: usize, height: usize, x: f32, y: f32) -> f32 {
-    let x = (x - 0.5).clamp(0.0, (width - 1) as f32 - 1e-3);
-    let y = (y - 0.5).clamp(0.0, (height - 1) as f32 - 1e-3);
-    let (left, top) = (x as usize, y as usize);
-    let (fx, fy) = (x - left as f32, y - top as f32);
-    let at = top * width + left;
-    let (above, below) = (&values[at..at + 2], &values[at + width..at + width + 2]);
-    let a = above[0] + fx * (above[1] - above[0]);
-    let b = below[0] + fx * (below[1] - below[0]);
-    a + fy * (b - a)
+/// `x` limited to `0..=most`; 0 for NaN.
+#[inline(always)]
+fn within(x: f32, most: f32) -> f32 {
+    let x = if x > 0.0 { x } else { 0.0 };
+    if x < most { x } else { most }
 }
 
 /// Random numbers that depend on a seed and a place alone (SplitMix64; Steele et al. 2014).
@@ -342,5 +410,104 @@ impl Random {
     /// In `[-1, 1)`.
     pub fn signed(&mut self) -> f32 {
         2.0 * self.unit() - 1.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tcgs_core::Camera;
+
+    use super::*;
+
+    const SIZE: [usize; 2] = [40, 30];
+
+    /// A view of noise from beside the origin, which looks at a point 4 in front of it.
+    fn noise(x: f64, seed: u64) -> Vantage {
+        let [width, height] = SIZE;
+        let camera = Camera {
+            principal: [20.5, 14.5],
+            ..Camera::look_at([x, 0.1 * x, 0.0], [0.0, 0.0, 4.0], [0.0, -1.0, 0.0], 45.0, width, height)
+        };
+        let gray = (0..width * height).map(|i| Random::new(seed, i as u64).unit()).collect();
+        Vantage { pinhole: Pinhole::new(&camera), gray, colors: Vec::new(), mask: None }
+    }
+
+    /// One minus the correlation of a pixel's window with its place in another view, sample by sample, by projections.
+    fn cost_by_points(from: &Vantage, to: &Vantage, pixel: usize, plane: Plane) -> f64 {
+        let [width, height] = SIZE;
+        let [x, y] = from.pinhole.pixel_center(pixel);
+        let gray = |view: &Vantage, x: f32, y: f32| {
+            let clamped = |v: f32, side: usize| f64::from((v - 0.5).clamp(0.0, (side - 1) as f32 - 1e-3));
+            let (x, y) = (clamped(x, width), clamped(y, height));
+            let at = |dx: f64, dy: f64| {
+                f64::from(view.gray[(y.floor() + dy) as usize * width + (x.floor() + dx) as usize])
+                    * (1.0 - (x.fract() - dx).abs())
+                    * (1.0 - (y.fract() - dy).abs())
+            };
+            at(0.0, 0.0) + at(1.0, 0.0) + at(0.0, 1.0) + at(1.0, 1.0)
+        };
+        let steps = || (-WINDOW_STEPS..=WINDOW_STEPS).map(|step| (WINDOW_SPACING * step) as f32);
+        let samples: Vec<[f64; 3]> = steps()
+            .flat_map(|dy| steps().map(move |dx| (dx, dy)))
+            .map(|(dx, dy)| {
+                let own = gray(from, x + dx, y + dy);
+                let contrast = (own - gray(from, x, y)) / f64::from(EDGE_CONTRAST);
+                let depth = 1.0 / plane.moved(dx, dy).inverse_depth;
+                let [u, v] = to.pinhole.project(from.pinhole.unproject([x + dx, y + dy], depth)).unwrap().0;
+                [1.0 / (1.0 + contrast * contrast), own, gray(to, u, v)]
+            })
+            .collect();
+        let sum = |term: &dyn Fn(f64, f64) -> f64| {
+            let total: f64 = samples.iter().map(|s| s[0]).sum();
+            samples.iter().map(|&[weight, a, b]| weight * term(a, b)).sum::<f64>() / total
+        };
+        let (a, b) = (sum(&|a, _| a), sum(&|_, b| b));
+        let noise = f64::from(NOISE_VARIANCE);
+        let variances = (sum(&|v, _| v * v) - a * a + noise) * (sum(&|_, v| v * v) - b * b + noise);
+        1.0 - (sum(&|v, w| v * w) - a * b) / variances.sqrt()
+    }
+
+    #[test]
+    fn costs_are_correlations_of_projected_windows() {
+        let (from, others) = (noise(0.0, 1), [0.5, -0.4, 0.9, -1.0].map(|x| noise(x, 7)));
+        let sources = others.iter().map(|to| SourceView::new(&from, to)).collect();
+        let search = Search { vantage: &from, sources, ranges: &[], seed: 0 };
+        let mut mean_below_limit = 0;
+        for pixel in (0..SIZE[0] * SIZE[1]).step_by(7) {
+            let mut random = Random::new(3, pixel as u64);
+            let inverse_depth = 0.25 + 0.05 * random.signed();
+            let gradient = [0.002 * random.signed(), 0.002 * random.signed()];
+            let plane = Plane { inverse_depth, gradient };
+            let window = search.window(pixel);
+            let [x, y] = from.pinhole.pixel_center(pixel);
+            let mut expected: Vec<f64> = others
+                .iter()
+                .zip(&search.sources)
+                .map(|(to, source)| {
+                    let place = to.pinhole.project(from.pinhole.unproject([x, y], 1.0 / inverse_depth)).unwrap().0;
+                    let inside = (0..2).all(|i| place[i] >= 0.0 && place[i] < SIZE[i] as f32);
+                    // At the border of the own image, windows repeat its last pixels, at depths outside of it.
+                    let is_whole = (4..SIZE[0] - 4).contains(&(x as usize)) && (4..SIZE[1] - 4).contains(&(y as usize));
+                    let found = f64::from(source.cost(&window, [x, y], plane));
+                    let by_points = if inside { cost_by_points(&from, to, pixel, plane) } else { 1.0 };
+                    assert!(!is_whole || (found - by_points).abs() < 2e-3, "{pixel}: {found}, expected {by_points}");
+                    found
+                })
+                .collect();
+            expected.sort_by(f64::total_cmp);
+            let mean = (expected[0] + expected[1]) / 2.0;
+            assert!((f64::from(search.cost(&window, pixel, plane, f32::INFINITY)) - mean).abs() < 1e-6);
+            // A limit changes no decision.
+            for limit in [0.3, 0.8, 1.0, 1.1] {
+                let found = search.cost(&window, pixel, plane, limit);
+                if mean < f64::from(limit) - 1e-6 {
+                    mean_below_limit += 1;
+                    assert!((f64::from(found) - mean).abs() < 1e-6, "{pixel}: {found}, expected {mean}");
+                } else {
+                    assert!(found >= limit - 1e-6);
+                }
+            }
+        }
+        assert!((50..600).contains(&mean_below_limit), "{mean_below_limit}");
     }
 }
