@@ -215,8 +215,9 @@ async function floorOf(session) {
  *
  * @param {XRSession} session
  * @param {import("./player.js").Player} player with a scene
+ * @param {() => boolean} showsDoubt whether an edge shows how little pictures can be trusted
  */
-export async function showScene(session, player) {
+export async function showScene(session, player, showsDoubt) {
   let hasEnded = false;
   const ended = new Promise((resolve) => {
     session.addEventListener("end", () => {
@@ -241,7 +242,7 @@ export async function showScene(session, player) {
     const opening = Promise.all([metresPerUnit(player), viewer.open(address, player.state?.timestep ?? 0)]);
     const [metres] = (await Promise.race([opening, ended])) ?? [];
     if (hasEnded || player.source !== source || !player.info) return;
-    await Promise.race([ended, draw(session, layer, space, viewer, player, metres)]);
+    await Promise.race([ended, draw(session, layer, space, viewer, player, metres, showsDoubt)]);
   } finally {
     player.removeEventListener("back", end);
     player.takeBack();
@@ -251,7 +252,7 @@ export async function showScene(session, player) {
 }
 
 /** Draws each frame of a session; rejects if the engine fails. */
-function draw(session, layer, space, viewer, player, metres) {
+function draw(session, layer, space, viewer, player, metres, showsDoubt) {
   let standing = stand(viewer.standing(), metres);
   const scales = [standing.scale / MOST_SCALED, standing.scale * MOST_SCALED];
   const hands = new Hands(session, () => player.toggle());
@@ -271,7 +272,7 @@ function draw(session, layer, space, viewer, player, metres) {
         return eyeOf(view, layer.getViewport(view), standing);
       });
       try {
-        const state = viewer.frameOfEyes(now, layer.framebuffer, cameraOfAll(eyes), eyes);
+        const state = viewer.frameOfEyes(now, layer.framebuffer, cameraOfAll(eyes), eyes, showsDoubt());
         player.showElsewhere(viewer, { ...state, width: eyes[0].width, height: eyes[0].height });
       } catch (error) {
         reject(error);

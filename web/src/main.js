@@ -38,7 +38,7 @@ const { toggle: toggleCurves } = train ? training(player, train, params) : { tog
 listenForPointers(element("canvas"), player);
 player.addEventListener("canvas", ({ detail }) => listenForPointers(detail, player));
 listenForHeldKeys(player);
-const { toggle: toggleTrust } = trust(player, params.trust);
+const { toggle: toggleTrust, isOn: showsDoubt } = trust(player, params.trust);
 idling(player);
 shortcuts(player, {
   camera: (index) => index < player.info.cameras.length && player.useCamera(index),
@@ -54,7 +54,7 @@ shortcuts(player, {
   t: toggleCurves,
 });
 listenToEmbedder(player);
-offerVr(player);
+offerVr(player, showsDoubt);
 
 player.addEventListener("lost", () => toast("The camera path breaks off here"));
 player.addEventListener("fallback", ({ detail }) => toast(`${detail}: drawing with ${player.renderer} now`));

@@ -13,7 +13,11 @@ const WHEEL_MS = 120;
 /** Codes of the keys that move the camera. */
 const MOVES = /^(Key[WASDQE]|Arrow|Equal|Minus|Numpad(Add|Subtract)|BracketRight)/;
 
-/** @param {import("./player.js").Player} player @param {boolean} on whether it begins so */
+/**
+ * @param {import("./player.js").Player} player
+ * @param {boolean} on whether it begins so
+ * @returns {{toggle: () => void, isOn: () => boolean}}
+ */
 export function trust(player, on) {
   const edge = element("edge");
   const button = element("toggle-trust");
@@ -67,5 +71,5 @@ export function trust(player, on) {
   button.addEventListener("click", toggle);
   button.setAttribute("aria-pressed", String(on));
   player.addEventListener("frame", show);
-  return { toggle };
+  return { toggle, isOn: () => on };
 }

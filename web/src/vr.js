@@ -2,8 +2,11 @@
 
 import { element, toast } from "./ui.js";
 
-/** @param {import("./player.js").Player} player */
-export function offerVr(player) {
+/**
+ * @param {import("./player.js").Player} player
+ * @param {() => boolean} showsDoubt whether an edge shows how little pictures can be trusted
+ */
+export function offerVr(player, showsDoubt) {
   const { xr } = navigator;
   if (!xr) return;
   const button = element("vr");
@@ -30,7 +33,7 @@ export function offerVr(player) {
       button.disabled = false;
       show();
       const { showScene } = await import("./headset.js");
-      await showScene(session, player);
+      await showScene(session, player, showsDoubt);
     } catch (error) {
       toast(`VR does not work: ${error.message ?? error}`);
       // It may have ended.

@@ -312,6 +312,44 @@ test("a scene of unknown size stands in the room", async (t) => {
   await leave(page);
 });
 
+/** Colours of a picture at the corners of both eyes, and above their middles. */
+function colors(page, picture) {
+  return page.evaluate(async (text) => {
+    const bitmap = await createImageBitmap(new Blob([Uint8Array.from(atob(text), (c) => c.charCodeAt(0))]));
+    const context = new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d");
+    context.drawImage(bitmap, 0, 0);
+    const [width, height] = [bitmap.width / 2, bitmap.height];
+    const at = (x, y) => [...context.getImageData(x, y, 1, 1).data].slice(0, 3);
+    const corners = [2, width - 3].flatMap((x) => [2, height - 3].map((y) => [x, y]));
+    const ofEyes = (points) => [0, width].flatMap((left) => points.map(([x, y]) => at(left + x, y)));
+    return { corners: ofEyes(corners), above: ofEyes([[width / 2, height / 4]]) };
+  }, picture.toString("base64"));
+}
+
+test("both eyes see an edge where pictures cannot be trusted, unless it is off", async (t) => {
+  const far = (page) => page.evaluate((height) => headset.position.set(0, height, 60), HEIGHT);
+  const plain = await open(t, { from: server, query: "autoplay=0&renderer=webgl2&trust=0" });
+  const trusted = await enter(plain);
+  await far(plain);
+  const { corners: without, above } = await colors(plain, await seen(plain));
+  assert.deepEqual(without, without.map(() => above[0]), "there is the background alone");
+
+  const page = await open(t, { from: server });
+  assert.deepEqual(await colors(page, await enter(page)), await colors(plain, trusted), "the start view is trusted");
+  await far(page);
+  const picture = await seen(page);
+  shot("edge", picture);
+  const { corners, above: same } = await colors(page, picture);
+  assert.deepEqual(same, above);
+  for (const corner of corners) {
+    // 55 % of the page's amber over the background.
+    [255, 176, 64].forEach((level, c) => {
+      const expected = 0.55 * level + 0.45 * above[0][c];
+      assert.ok(Math.abs(corner[c] - expected) < 3, `${corner}, expected ${expected} in channel ${c}`);
+    });
+  }
+});
+
 test("a page that draws with WebGPU shows its scene in a headset, too", async (t) => {
   // A software GPU takes about a second for a frame of WebGPU.
   const page = await open(t, { query: "autoplay=0&stats=1", side: 120 });

@@ -125,6 +125,12 @@ struct Display<M, R> {
     shown: M,
 }
 
+impl<M, R> Display<M, R> {
+    fn doubt(&self, position: [f64; 3]) -> f64 {
+        self.trust.as_ref().map_or(0.0, |trust| trust.doubt(position))
+    }
+}
+
 impl<F: Feed, R: Renderer<Moment = F::Moment>> Viewer<F, R> {
     /// A viewer without a scene.
     ///
@@ -215,7 +221,7 @@ impl<F: Feed, R: Renderer<Moment = F::Moment>> Viewer<F, R> {
             is_playing: clock.is_playing(),
             is_buffering: player.is_buffering(),
             is_drawn: player.is_due(&display.shown, sorter) && display.renderer.is_whole(),
-            doubt: display.trust.as_ref().map_or(0.0, |trust| trust.doubt(sorter.center())),
+            doubt: display.doubt(sorter.center()),
         }))
     }
 
@@ -287,6 +293,14 @@ impl<F: Feed, R: Renderer<Moment = F::Moment>> Viewer<F, R> {
     /// The camera's controls, once there is a picture.
     pub fn controls_mut(&mut self) -> Option<&mut Controls> {
         Some(&mut self.session.as_mut()?.display.as_mut()?.controls)
+    }
+
+    /// How little pictures from a position can be trusted, as [`FrameReport::doubt`].
+    ///
+    /// - `position`: in the world, scene units
+    pub fn doubt(&self, position: [f64; 3]) -> f64 {
+        let display = self.session.as_ref().and_then(|session| session.display.as_ref());
+        display.map_or(0.0, |display| display.doubt(position))
     }
 
     /// Moves the camera a part of the way to the nearest position from which pictures can be trusted. Does nothing if

@@ -6,7 +6,7 @@ use wasm_bindgen::prelude::*;
 use web_sys::WebGlFramebuffer;
 
 use super::WebViewer;
-use super::drawing::Place;
+use super::drawing::{Edge, Place};
 use super::object::{camera_object, camera_of, object, vector};
 use crate::arrange::ground;
 use crate::error::PlayError;
@@ -19,6 +19,7 @@ impl WebViewer {
     /// - `sorter`: camera whose order serves all eyes, in the form of `camera()`; it must see what any eye sees
     /// - `eyes`: an array of cameras in that form, each with the left and lower edge `x`, `y` of its part of the
     ///   framebuffer besides, pixels
+    /// - `shows_doubt`: whether an edge shows how little the pictures can be trusted
     #[wasm_bindgen(js_name = frameOfEyes)]
     pub fn frame_of_eyes(
         &self,
@@ -26,21 +27,24 @@ impl WebViewer {
         framebuffer: Option<WebGlFramebuffer>,
         sorter: &JsValue,
         eyes: &Array,
+        shows_doubt: bool,
     ) -> Result<JsValue, JsValue> {
         let edge = |eye: &JsValue, name: &str| Reflect::get(eye, &name.into()).ok().and_then(|edge| edge.as_f64());
         let sorter = camera_of(sorter).map_err(PlayError::from)?;
+        let mut state = self.state.borrow_mut();
+        state.update(now_ms)?;
+        let doubt = if shows_doubt { state.viewer.doubt(sorter.center()) } else { 0.0 };
         let eyes: Vec<(Camera, Place)> = eyes
             .iter()
             .map(|eye| {
                 let camera = camera_of(&eye).map_err(PlayError::from)?;
                 let corner = ["x", "y"].map(|name| edge(&eye, name).unwrap_or(0.0) as i32);
                 let size = [camera.width, camera.height];
-                Ok((camera, Place { framebuffer: framebuffer.clone(), corner, size }))
+                let edge = (doubt > 0.0).then(|| Edge::new(&camera, doubt));
+                Ok((camera, Place { framebuffer: framebuffer.clone(), corner, size, edge }))
             })
             .collect::<Result<_, PlayError>>()?;
         let views: Vec<(&Camera, &Place)> = eyes.iter().map(|(camera, place)| (camera, place)).collect();
-        let mut state = self.state.borrow_mut();
-        state.update(now_ms)?;
         state.canvas.check()?;
         let drawn = state.viewer.draw_views(&sorter, &views)?;
         Ok(state.report(drawn.as_ref()))

@@ -68,8 +68,7 @@ pub struct Context {
     splats: WebGlProgram,
     uniforms: Uniforms,
     copy: WebGlProgram,
-    /// Uniform of `copy`.
-    corner: Option<WebGlUniformLocation>,
+    copy_uniforms: CopyUniforms,
     /// Without any attribute.
     no_attributes: WebGlVertexArrayObject,
     target: RefCell<Target>,
@@ -86,11 +85,30 @@ pub struct Place {
     pub corner: [i32; 2],
     /// Width and height, pixels.
     pub size: [usize; 2],
+    pub edge: Option<Edge>,
+}
+
+/// An amber edge over a picture that cannot be trusted. It begins at an angle from the optical axis, so that both eyes
+/// of a headset see it in the same directions.
+pub struct Edge {
+    /// How little the picture can be trusted, in `(0, 1]`.
+    doubt: f32,
+    /// Focal lengths, pixels.
+    focal: [f32; 2],
+    /// Principal point from the lower left corner of the place, pixels.
+    principal: [f32; 2],
+}
+
+impl Edge {
+    pub fn new(camera: &Camera, doubt: f64) -> Self {
+        let [x, y] = camera.principal.map(|c| c as f32);
+        Self { doubt: doubt as f32, focal: camera.focal.map(|f| f as f32), principal: [x, camera.height as f32 - y] }
+    }
 }
 
 impl Place {
     fn all_of(framebuffer: Option<WebGlFramebuffer>, size: [usize; 2]) -> Self {
-        Self { framebuffer, corner: [0, 0], size }
+        Self { framebuffer, corner: [0, 0], size, edge: None }
     }
 }
 
@@ -99,6 +117,13 @@ struct Target {
     framebuffer: WebGlFramebuffer,
     texture: Option<WebGlTexture>,
     size: [usize; 2],
+}
+
+struct CopyUniforms {
+    corner: Option<WebGlUniformLocation>,
+    doubt: Option<WebGlUniformLocation>,
+    focal: Option<WebGlUniformLocation>,
+    principal: Option<WebGlUniformLocation>,
 }
 
 struct Uniforms {
@@ -218,12 +243,18 @@ impl Context {
             antialiased: uniform("antialiased"),
         };
         let framebuffer = gl.create_framebuffer().ok_or_else(|| lost("no framebuffer"))?;
-        let corner = gl.get_uniform_location(&copy, "corner");
+        let uniform = |name: &str| gl.get_uniform_location(&copy, name);
+        let copy_uniforms = CopyUniforms {
+            corner: uniform("corner"),
+            doubt: uniform("doubt"),
+            focal: uniform("focal"),
+            principal: uniform("principal"),
+        };
         let no_attributes = gl.create_vertex_array().ok_or_else(|| lost("no vertex array"))?;
         let most = gl.get_parameter(Gl::MAX_TEXTURE_SIZE).ok().and_then(|most| most.as_f64()).unwrap_or(2048.0);
         let target = RefCell::new(Target { framebuffer, texture: None, size: [0, 0] });
         let format = if is_half { Gl::RGBA16F } else { Gl::RGBA8 };
-        Ok(Self { gl, splats, uniforms, copy, corner, no_attributes, target, format, most: most as usize })
+        Ok(Self { gl, splats, uniforms, copy, copy_uniforms, no_attributes, target, format, most: most as usize })
     }
 
     /// Whether the GPU still works.
@@ -256,7 +287,13 @@ impl Context {
         gl.viewport(x, y, place.size[0] as i32, place.size[1] as i32);
         gl.disable(Gl::BLEND);
         gl.use_program(Some(&self.copy));
-        gl.uniform2i(self.corner.as_ref(), x, y);
+        let uniforms = &self.copy_uniforms;
+        gl.uniform2i(uniforms.corner.as_ref(), x, y);
+        gl.uniform1f(uniforms.doubt.as_ref(), place.edge.as_ref().map_or(0.0, |edge| edge.doubt));
+        if let Some(Edge { focal, principal, .. }) = &place.edge {
+            gl.uniform2fv_with_f32_array(uniforms.focal.as_ref(), focal);
+            gl.uniform2fv_with_f32_array(uniforms.principal.as_ref(), principal);
+        }
         gl.bind_vertex_array(Some(&self.no_attributes));
         gl.bind_texture(Gl::TEXTURE_2D, self.target.borrow().texture.as_ref());
         gl.draw_arrays(Gl::TRIANGLES, 0, 3);
