@@ -134,6 +134,10 @@ pub struct BitSettings {
     pub mapping: BitMapping,
 }
 
+/// Bits beyond the mean of a Gaussian that no training image shows. Others may see it: a wall that a quantizer of few bits
+/// makes of smaller Gaussians has holes.
+const UNSEEN_BITS: f64 = 1.0;
+
 impl Default for BitSettings {
     fn default() -> Self {
         Self { min_bits: 4, max_bits: 8, mean_bits: 5.0, position_bits: 16, mapping: BitMapping::Log }
@@ -160,7 +164,8 @@ fn mixed(layout: &Layout) -> impl Iterator<Item = Attribute> {
 /// deviation over Gaussians) of the component, `step = spread 2^-b`. All components `k` of an attribute share one
 /// width. At the minimum for a given total of bits, `Σ_k (S_k spread_k)² 4^-b` is the same for all Gaussians (reverse
 /// water-filling). So `b = log2 w + c` with `w² = Σ_k (S_k spread_k)²`. For each attribute bisection finds the constant
-/// `c` whose mean width is nearest to `mean_bits`. Attributes are not weighed against each other: `S` sums signed
+/// `c` whose mean width is nearest to `mean_bits`. A Gaussian without any sensitivity gets one bit more than `mean_bits`:
+/// training keeps it for other cameras. Attributes are not weighed against each other: `S` sums signed
 /// changes of pixels, so the effect of an attribute that moves edges (rotations, scales) cancels in part, and the
 /// effect of an attribute that brightens (colours, opacities) does not.
 ///
@@ -247,22 +252,24 @@ fn assign_linear(sensitivity: &Sensitivity, settings: &BitSettings, map: &mut Bi
 }
 
 fn assign_log(sensitivity: &Sensitivity, stored: &Gaussians, settings: &BitSettings, map: &mut BitMap) {
-    // `[attribute][N]` of log2 w. Minus infinity, hence the fewest bits, if the images do not depend on the value.
-    let of_column = |column: &Column| -> Vec<f64> {
+    // `[attribute][N]` of log2 w; none if no image shows the Gaussian.
+    let of_column = |column: &Column| -> Vec<Option<f64>> {
         if !column.quantized {
             return Vec::new();
         }
         let (attribute, components) = (column.attribute, column.components());
         let spreads: Vec<f64> = (0..components).map(|c| spread(stored.values(attribute), components, c)).collect();
-        let weight = |s: &[f32]| -> f64 {
+        let weight = |s: &[f32]| {
             let sum: f64 = s.iter().zip(&spreads).map(|(&s, spread)| (f64::from(s) * spread).powi(2)).sum();
-            0.5 * sum.log2()
+            s.iter().any(|&s| s > 0.0).then(|| 0.5 * sum.log2())
         };
         sensitivity.values(attribute).chunks_exact(components).map(weight).collect()
     };
-    let log_weights: Vec<Vec<f64>> = stored.layout().columns().iter().map(of_column).collect();
-    let width = |log_weight: f64, c: f64| -> u8 {
-        (log_weight + c).round().clamp(f64::from(settings.min_bits), f64::from(settings.max_bits)) as u8
+    let unseen = f64::from(settings.mean_bits) + UNSEEN_BITS;
+    let log_weights: Vec<Vec<Option<f64>>> = stored.layout().columns().iter().map(of_column).collect();
+    let width = |log_weight: Option<f64>, c: f64| -> u8 {
+        let bits = log_weight.map_or(unseen, |log_weight| log_weight + c);
+        bits.round().clamp(f64::from(settings.min_bits), f64::from(settings.max_bits)) as u8
     };
     let target = f64::from(settings.mean_bits);
     for attribute in mixed(stored.layout()) {
@@ -387,12 +394,26 @@ mod tests {
     }
 
     #[test]
+    fn what_no_image_shows_is_not_the_coarsest() {
+        let (mut sensitivity, stored) = example(500);
+        for attribute in Attribute::BASE {
+            sensitivity.values_mut(attribute)[..100 * attribute.components()].fill(0.0);
+        }
+        let map = assign_bits(&sensitivity, &stored, &BitSettings::default()).unwrap();
+        for attribute in Attribute::BASE.into_iter().filter(|&attribute| attribute != Attribute::Mean) {
+            let widths = &map.widths[attribute.index()];
+            assert!(widths[..100].iter().all(|&width| width == 6) && widths[100..].contains(&4), "{attribute:?}");
+        }
+        assert!((map.mean_bits() - 5.0).abs() < 0.05, "{}", map.mean_bits());
+    }
+
+    #[test]
     fn equal_bounds_and_no_sensitivity_are_uniform() {
         let (sensitivity, stored) = example(20);
         let settings = BitSettings { min_bits: 6, max_bits: 6, ..Default::default() };
         assert_eq!(assign_bits(&sensitivity, &stored, &settings).unwrap(), BitMap::uniform(20, 16, 6));
         let nothing = assign_bits(&Sensitivity::zeros(20), &stored, &BitSettings::default()).unwrap();
-        assert_eq!(nothing, BitMap::uniform(20, 16, 4));
+        assert_eq!(nothing, BitMap::uniform(20, 16, 6), "one bit more than the mean");
         assert_eq!(assign_bits(&Sensitivity::zeros(0), &Gaussians::zeros(0), &settings).unwrap().mean_bits(), 0.0);
     }
 
