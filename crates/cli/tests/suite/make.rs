@@ -13,7 +13,7 @@ fn videos_become_a_scene_and_a_page() {
         return;
     }
     let folder = tempdir().unwrap();
-    let source = videos(&folder, 4);
+    let source = videos_of(&folder, 4, [64, 48]);
     // The sound of one camera, with its pauses.
     let (silent, loud) = (source.join("cam2.mp4"), source.join("cam2.mkv"));
     let tone = "sine=frequency=440:duration=2,volume='if(lt(mod(t,0.1),0.05),1,0.01)':eval=frame";
