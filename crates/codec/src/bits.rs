@@ -134,8 +134,8 @@ pub struct BitSettings {
     pub mapping: BitMapping,
 }
 
-/// Bits beyond the mean of a Gaussian that no training image shows. Other cameras may see it. A quantizer of few bits cuts
-/// off rare large scales, and a wall of large Gaussians then has holes.
+/// Bits beyond the mean of a Gaussian that no training image shows. Other cameras may see it. A quantizer of few bits
+/// cuts off rare large scales, and a wall of large Gaussians then has holes.
 const UNSEEN_BITS: f64 = 1.0;
 
 impl Default for BitSettings {
@@ -165,9 +165,9 @@ fn mixed(layout: &Layout) -> impl Iterator<Item = Attribute> {
 /// width. At the minimum for a given total of bits, `Σ_k (S_k spread_k)² 4^-b` is the same for all Gaussians (reverse
 /// water-filling). So `b = log2 w + c` with `w² = Σ_k (S_k spread_k)²`. For each attribute bisection finds the constant
 /// `c` whose mean width is nearest to `mean_bits`. A Gaussian without any sensitivity gets one bit more than
-/// `mean_bits`, since training keeps it for other cameras. Attributes are not weighed against each other: `S` sums signed
-/// changes of pixels, so the effect of an attribute that moves edges (rotations, scales) cancels in part, and the
-/// effect of an attribute that brightens (colours, opacities) does not.
+/// `mean_bits`, since training keeps it for other cameras. Attributes are not weighed against each other: `S` sums
+/// signed changes of pixels, so the effect of an attribute that moves edges (rotations, scales) cancels in part, and
+/// the effect of an attribute that brightens (colours, opacities) does not.
 ///
 /// ```
 /// use tcgs_codec::{BitSettings, assign_bits};

@@ -29,7 +29,7 @@ impl WebViewer {
         eyes: &Array,
         shows_doubt: bool,
     ) -> Result<JsValue, JsValue> {
-        let edge = |eye: &JsValue, name: &str| Reflect::get(eye, &name.into()).ok().and_then(|edge| edge.as_f64());
+        let number = |eye: &JsValue, name: &str| Reflect::get(eye, &name.into()).ok().and_then(|found| found.as_f64());
         let sorter = camera_of(sorter).map_err(PlayError::from)?;
         let mut state = self.state.borrow_mut();
         state.update(now_ms)?;
@@ -38,7 +38,7 @@ impl WebViewer {
             .iter()
             .map(|eye| {
                 let camera = camera_of(&eye).map_err(PlayError::from)?;
-                let corner = ["x", "y"].map(|name| edge(&eye, name).unwrap_or(0.0) as i32);
+                let corner = ["x", "y"].map(|name| number(&eye, name).unwrap_or(0.0) as i32);
                 let size = [camera.width, camera.height];
                 let edge = (doubt > 0.0).then(|| Edge::new(&camera, doubt));
                 Ok((camera, Place { framebuffer: framebuffer.clone(), corner, size, edge }))

@@ -85,6 +85,7 @@ pub struct Place {
     pub corner: [i32; 2],
     /// Width and height, pixels.
     pub size: [usize; 2],
+    /// `None`: the picture alone.
     pub edge: Option<Edge>,
 }
 
