@@ -11,13 +11,13 @@ pub(super) type Pixels = Vec<[u8; 3]>;
 /// Minimum number of samples of a pixel that show the background, for the background to be known.
 const MIN_SAMPLES: usize = 3;
 /// Half of the side of the square of pixels whose backgrounds a pixel's is likened to, as a share of the image's width.
-const SURROUNDINGS: f32 = 0.1;
+const SURROUNDINGS: f32 = 0.15;
 /// Number of pixels of a surrounding that are looked at, along each side.
 const NUM_ACROSS: usize = 16;
 /// Distance of two colours, in `[0, 1]`, below which they show the same thing.
 const SAME_COLOR: f32 = 0.06;
-/// The surroundings have the colour of a background so many times as often as any other colour of the pixel.
-const MIN_RATIO: f32 = 2.0;
+/// The same from which they show different things.
+const OTHER_COLOR: f32 = 0.09;
 
 /// A static camera with its samples and background.
 pub(super) struct Station {
@@ -80,9 +80,13 @@ impl Station {
             }));
             found.known.push(known);
         }
-        let unknown: Vec<usize> = (0..width * height).filter(|&pixel| !found.known[pixel]).collect();
-        let likened: Vec<Option<[f32; 3]>> = unknown.par_iter().map(|&pixel| self.likened(&found, pixel)).collect();
-        for (pixel, color) in unknown.into_iter().zip(likened) {
+        // Without a hull the median may be what stands there for most of the time.
+        let is_sure =
+            |pixel: usize| found.known[pixel] && (covered.is_some() || !self.varies(pixel, found.colors[pixel]));
+        let is_sure: Vec<bool> = (0..width * height).into_par_iter().map(is_sure).collect();
+        let likened = |pixel: usize| if is_sure[pixel] { None } else { self.likened(&found, &is_sure, pixel) };
+        let likened: Vec<Option<[f32; 3]>> = (0..width * height).into_par_iter().map(likened).collect();
+        for (pixel, color) in likened.into_iter().enumerate() {
             if let Some(color) = color {
                 (found.colors[pixel], found.known[pixel]) = (color, true);
             }
@@ -90,13 +94,25 @@ impl Station {
         self.background = found;
     }
 
-    /// The background of a pixel that is covered in all samples: the colour, among them, that the background around it
-    /// has. Where a person stands for most of the time, the median shows this person, and samples without the person
-    /// differ from it.
+    /// Colour of a sample's pixel, in `[0, 1]`.
+    fn color(&self, sample: usize, pixel: usize) -> [f32; 3] {
+        self.samples[sample][pixel].map(|value| f32::from(value) / 255.0)
+    }
+
+    /// Whether enough samples of a pixel to be a background have another colour.
+    fn varies(&self, pixel: usize, color: [f32; 3]) -> bool {
+        let differs = |&sample: &usize| distance(self.color(sample, pixel), color) >= OTHER_COLOR;
+        (0..self.samples.len()).filter(differs).count() >= MIN_SAMPLES
+    }
+
+    /// The background of a pixel whose samples leave it open: the one of their colours that is most frequent around it.
+    /// Where a person stands for most of the time, the median shows this person. Samples without the person differ
+    /// from it.
     ///
     /// - `found`: the background so far
+    /// - `is_sure`: `[H, W]`, where it counts
     /// - returns: `None` if the surroundings do not tell
-    fn likened(&self, found: &Background, pixel: usize) -> Option<[f32; 3]> {
+    fn likened(&self, found: &Background, is_sure: &[bool], pixel: usize) -> Option<[f32; 3]> {
         let (width, height) = (self.pinhole.width, self.pinhole.height);
         let reach = (SURROUNDINGS * width as f32).max(1.0);
         let step = 2.0 * reach / NUM_ACROSS as f32;
@@ -107,22 +123,20 @@ impl Station {
             let (x, y) = ((x + offset(i % NUM_ACROSS)).round(), (y + offset(i / NUM_ACROSS)).round());
             if x >= 0.0 && y >= 0.0 && x < width as f32 && y < height as f32 {
                 let other = y as usize * width + x as usize;
-                if found.known[other] {
+                if is_sure[other] {
                     around.push(found.colors[other]);
                 }
             }
         }
-        let colors: Vec<[f32; 3]> =
-            self.samples.iter().map(|sample| sample[pixel].map(|value| f32::from(value) / 255.0)).collect();
+        let colors: Vec<[f32; 3]> = (0..self.samples.len()).map(|sample| self.color(sample, pixel)).collect();
         let is_same = |a: &[f32; 3], b: &[f32; 3]| distance(*a, *b) < SAME_COLOR;
-        let counts: Vec<f32> =
-            colors.iter().map(|color| around.iter().filter(|other| is_same(color, other)).count() as f32).collect();
-        let best = (0..colors.len()).max_by(|&a, &b| counts[a].total_cmp(&counts[b]))?;
+        let counts: Vec<usize> =
+            colors.iter().map(|color| around.iter().filter(|other| is_same(color, other)).count()).collect();
+        let best = (0..colors.len()).max_by_key(|&i| counts[i])?;
         let (same, others): (Vec<usize>, Vec<usize>) =
-            (0..colors.len()).partition(|&i| distance(colors[i], colors[best]) < 1.5 * SAME_COLOR);
-        let second = others.iter().map(|&i| counts[i]).fold(0.0, f32::max);
-        let is_sure = same.len() >= MIN_SAMPLES && !others.is_empty() && counts[best] >= MIN_RATIO * (second + 1.0);
-        is_sure.then(|| {
+            (0..colors.len()).partition(|&i| distance(colors[i], colors[best]) < OTHER_COLOR);
+        let second = others.iter().map(|&i| counts[i]).max()?;
+        (same.len() >= MIN_SAMPLES && counts[best] > second).then(|| {
             [0, 1, 2].map(|channel| upper_median(same.iter().map(|&i| colors[i][channel])).unwrap_or_default())
         })
     }

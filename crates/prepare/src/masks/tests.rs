@@ -62,6 +62,13 @@ fn where_a_person_stood_the_background_is_that_of_the_surroundings() {
     }
     let is_known = |x: usize, y: usize| station.background.known[y * width + x];
     assert!((20..26).all(|x| (8..18).all(|y| is_known(x, y)) && (18..20).all(|y| !is_known(x, y))));
+
+    // Before there is a hull.
+    station.find_background(None);
+    for (x, y) in (20..26).flat_map(|x| (8..18).map(move |y| (x, y))) {
+        let found = station.background.colors[y * width + x].map(|value| (255.0 * value).round() as u8);
+        assert_eq!(found, wall(x), "{x} {y}: the person stands there for ten samples of 16");
+    }
 }
 
 #[test]

@@ -41,7 +41,7 @@ pub fn close_holes(cloud: &PointCloud, cameras: &[Camera]) -> PointCloud {
     let points: Vec<Point> = (0..cloud.points.len()).map(point).collect();
     let background: Vec<Point> = points.iter().filter(|point| all_move || !point.foreground).cloned().collect();
     let positions: Vec<[f32; 3]> = background.iter().map(|point| point.position).collect();
-    let shell = Shell::fit(&pinholes, &positions, 0.0);
+    let shell = Shell::fit(&pinholes, &positions, 0.0, None);
 
     let mut holes = hole_ends(&around(cameras, factor), std::slice::from_ref(&points), &shell);
     // Given points and density control fill the space that a training image shows.

@@ -20,6 +20,9 @@ const ENOUGH_CUBES: usize = 60_000;
 const MISS_SHARE: f32 = 0.08;
 /// Share of all masks that must have a place in view.
 const MIN_SEEN_SHARE: f32 = 0.3;
+/// Number of masks that must have a place in view, if there are more. The lines of sight of two cameras meet in many
+/// places.
+const MIN_SEEN: usize = 3;
 
 /// A set of equal cubes.
 #[derive(Clone, Debug, Default)]
@@ -88,7 +91,8 @@ impl Hull {
                 None => {}
             }
         }
-        let enough = ((MIN_SEEN_SHARE * counts.len() as f32).ceil() as usize).max(2);
+        let least = MIN_SEEN.min(counts.len().saturating_sub(1)).max(2);
+        let enough = ((MIN_SEEN_SHARE * counts.len() as f32).ceil() as usize).max(least);
         seen >= enough && missed <= (miss_share * seen as f32) as usize
     }
 
@@ -135,7 +139,7 @@ impl Hull {
 /// The place nearest to all lines of sight, and the radius of the search around it.
 ///
 /// - returns: `None` for fewer than two cameras
-fn focus(pinholes: &[&Pinhole<f32>]) -> Option<([f32; 3], f32)> {
+pub(super) fn focus(pinholes: &[&Pinhole<f32>]) -> Option<([f32; 3], f32)> {
     if pinholes.len() < 2 {
         return None;
     }

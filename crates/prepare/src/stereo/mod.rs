@@ -6,6 +6,7 @@
 //! - *hull* carves the visual hull of the masks, which bounds the depth of foreground.
 //! - *fuse* keeps the points on which several views agree.
 //! - *fill* interpolates depth across surfaces without texture.
+//! - *sweep* finds the floor that cameras far apart share.
 //! - *shell* gives the remaining rays of background an end.
 //! - *holes* closes the shell where no training image shows anything.
 //! - *thin* reduces the points to the wanted number.
@@ -22,6 +23,7 @@ pub(crate) mod hull;
 mod patchmatch;
 mod shell;
 mod spread;
+mod sweep;
 mod thin;
 pub(crate) mod vantage;
 
@@ -37,7 +39,7 @@ pub use spread::spread_points;
 use fuse::{Belief, Point, Rule, SureDepths, agreed, num_hidden_from};
 use hull::{Hull, Silhouette};
 use patchmatch::{DepthMap, MAX_SOURCES, Plane, Range, Search, SourceView};
-use shell::Shell;
+use shell::{Shell, Wall};
 use vantage::Vantage;
 
 /// Settings of [`stereo_points`].
@@ -183,7 +185,9 @@ pub(crate) fn cloud_of(views: &[View], settings: &StereoSettings, report: &mut d
     report("joining depths");
     let fused = stereo.fuse();
     report("continuing surfaces");
-    stereo.points(&fused, settings.num_points)
+    // Depths by two cameras that stand far apart are too few and too wrong to show the floor.
+    let floor = are_far_apart(views).then(|| sweep::find_floor(views)).flatten();
+    stereo.points(&fused, settings.num_points, floor)
 }
 
 /// Share of the pixels whose depth other views confirm: small where cameras do not fit their images.
@@ -348,15 +352,17 @@ impl Stereo {
         found.into_iter().flatten().map(|(_, point)| point).collect()
     }
 
-    fn points(&self, fused: &Fused, num_points: usize) -> Prepared {
-        let (foreground, background): (Vec<Point>, Vec<Point>) = fused.points.iter().partition(|p| p.foreground);
+    fn points(&self, fused: &Fused, num_points: usize, floor: Option<Wall>) -> Prepared {
+        let is_above = |point: &&Point| floor.is_none_or(|floor| floor.distance(point.position) > 0.0);
+        let above = fused.points.iter().filter(is_above);
+        let (foreground, background): (Vec<Point>, Vec<Point>) = above.partition(|p| p.foreground);
         let hides = |point: &Point| num_hidden_from(&self.vantages, &fused.sure, point.position) > MAX_HIDDEN_FROM;
         let visible = |points: Vec<Point>| -> Vec<Point> { points.into_par_iter().filter(|p| !hides(p)).collect() };
         let foreground = [visible(foreground), visible(self.hull_points())];
         let min_radius = if self.are_pairs() { BEHIND_CAMERAS } else { 0.0 };
         let positions: Vec<[f32; 3]> = background.iter().map(|point| point.position).collect();
         let pinholes: Vec<Pinhole<f32>> = self.vantages.iter().map(|vantage| vantage.pinhole.clone()).collect();
-        let shell = Shell::fit(&pinholes, &positions, min_radius);
+        let shell = Shell::fit(&pinholes, &positions, min_radius, floor);
         let background = [visible(background), visible(self.filled(&fused.sure))];
         let mut all = [&foreground[..], &background].concat();
         all.push(visible(self.ended(&all, &shell)));

@@ -155,6 +155,14 @@ impl<'a> SourceView<'a> {
         ];
         Self { vantage: to, image_from_image: intrinsics(without_intrinsics), epipole }
     }
+
+    /// Where a pixel's point falls into this view, pixels; `None` behind the camera.
+    pub fn place(&self, [x, y]: [f32; 2], inverse_depth: f32) -> Option<[f32; 2]> {
+        let (m, e) = (&self.image_from_image, self.epipole);
+        let [x, y, depth]: [f32; 3] =
+            std::array::from_fn(|i| m[i][0] * x + m[i][1] * y + m[i][2] + inverse_depth * e[i]);
+        (depth > 0.0).then(|| [x / depth, y / depth])
+    }
 }
 
 /// The window around a pixel, its weights adding up to 1.

@@ -30,19 +30,19 @@ pub(super) struct Shell {
     walls: Vec<Wall>,
 }
 
-/// A plane with all cameras on one side: a floor, a wall or a ceiling. Hardly any point is behind it, but for the first
-/// one, which has the most points.
+/// A plane with all cameras on one side: a floor, a wall or a ceiling. Hardly any point is behind it. The first one has
+/// the most points, or is known, and may have many behind it.
 #[derive(Clone, Copy, Debug)]
-struct Wall {
+pub(super) struct Wall {
     /// Unit normal towards the cameras.
-    normal: [f32; 3],
+    pub normal: [f32; 3],
     /// Dot product of the normal with the points of the plane, scene units.
-    offset: f32,
+    pub offset: f32,
 }
 
 impl Wall {
     /// Distance of a point from the plane, negative behind it. Scene units.
-    fn distance(self, point: [f32; 3]) -> f32 {
+    pub fn distance(self, point: [f32; 3]) -> f32 {
         dot(self.normal, point) - self.offset
     }
 
@@ -62,7 +62,8 @@ impl Shell {
     ///
     /// - `min_radius`: least radius of a shell that is no sphere through points, in distances of the farthest camera
     ///   from the middle of all
-    pub fn fit(cameras: &[Pinhole<f32>], points: &[[f32; 3]], min_radius: f32) -> Self {
+    /// - `floor`: the first wall, if it is known
+    pub fn fit(cameras: &[Pinhole<f32>], points: &[[f32; 3]], min_radius: f32, floor: Option<Wall>) -> Self {
         let middle = mean_vector(cameras.iter().map(|camera| camera.center));
         let spread = cameras.iter().map(|camera| distance(camera.center, middle)).fold(0.0, f32::max);
         let step = points.len().div_ceil(NUM_JUDGES).max(1);
@@ -73,8 +74,9 @@ impl Shell {
             return Self::around(middle, UNKNOWN_DISTANCE * 2.0 * spread);
         };
         let (mut walls, mut rest) = (Vec::new(), judges.clone());
+        let mut known = floor;
         while walls.len() < MAX_WALLS
-            && let Some(wall) = find_wall(cameras, &rest, &judges, far, walls.is_empty())
+            && let Some(wall) = known.take().or_else(|| find_wall(cameras, &rest, &judges, far, walls.is_empty()))
         {
             rest.retain(|&point| wall.distance(point).abs() > 3.0 * THICKNESS * far);
             walls.push(wall);

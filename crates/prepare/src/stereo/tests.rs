@@ -292,6 +292,42 @@ fn the_hull_of_a_ball_is_the_ball() {
 }
 
 #[test]
+fn two_lines_of_sight_make_no_hull() {
+    let cameras = [[2.0, 0.0], [-2.0, 0.0], [0.0, 2.0], [0.0, -2.0]]
+        .map(|[x, z]| Camera::look_at([x, -1.0, z], [0.0; 3], [0.0, -1.0, 0.0], 60.0, 48, 48));
+    let pinholes: Vec<Pinhole<f32>> = cameras.iter().map(Pinhole::new).collect();
+    let mask = vec![true; 48 * 48];
+    let silhouettes: Vec<Silhouette> = pinholes.iter().map(|pinhole| Silhouette { pinhole, mask: &mask }).collect();
+    let num_seeing = |silhouettes: &[Silhouette]| {
+        let seeing = |&point: &[f32; 3]| silhouettes.iter().filter(|s| s.pinhole.pixel(point).is_some()).count();
+        Hull::carve(silhouettes, 1.5).surface().iter().map(seeing).min()
+    };
+    assert_eq!(num_seeing(&silhouettes), Some(3), "of four cameras three must see a place");
+    assert_eq!(num_seeing(&silhouettes[..3]), Some(2), "of three cameras two");
+}
+
+#[test]
+fn cameras_far_apart_share_a_floor() {
+    let settings = SyntheticSettings { num_train_cameras: 4, num_test_cameras: 0, ..SyntheticSettings::default() };
+    let (_folder, capture) = synthetic(&settings);
+    let mut views = capture.views(Split::Train, 0, 1).unwrap();
+    assert!(are_far_apart(&views));
+    let floor = sweep::find_floor(&views).unwrap();
+    assert!(floor.normal[1] < -0.9998 && floor.offset.abs() < 0.02, "{floor:?}, the floor is at y = 0");
+    // Points below it are mistakes.
+    let points = prepared(&capture, &StereoSettings { num_points: 8000, ..StereoSettings::default() }).cloud.points;
+    let lowest = points.iter().map(|&point| floor.distance(point)).fold(f32::INFINITY, f32::min);
+    assert!(lowest > -0.02, "{lowest}");
+
+    // Cameras that are not where their images are from share nothing.
+    let matrices: Vec<_> = views.iter().map(|view| view.camera.camera_from_world).collect();
+    for (i, view) in views.iter_mut().enumerate() {
+        view.camera.camera_from_world = matrices[(i + 1) % 4];
+    }
+    assert!(sweep::find_floor(&views).is_none());
+}
+
+#[test]
 fn pixels_that_agree_by_chance_make_no_points() {
     let camera = Camera::look_at([0.0; 3], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0], 60.0, 64, 48);
     let pinhole = Pinhole::new(&camera);
@@ -327,7 +363,7 @@ fn the_shell_is_behind_cameras_whose_points_do_not_tell_of_walls() {
     let points: Vec<[f32; 3]> =
         (0..200).map(|i| [0.004 * i as f32, 0.1 * (i % 7) as f32, 0.05 * (i % 3) as f32]).collect();
     for (min_radius, expected) in [(1.5, 3.0), (0.0, 0.8)] {
-        let depth = Shell::fit(&pinholes, &points, min_radius).depth([0.0; 3], [0.0, -1.0, 0.0]);
+        let depth = Shell::fit(&pinholes, &points, min_radius, None).depth([0.0; 3], [0.0, -1.0, 0.0]);
         assert!(depth.is_some_and(|depth| (depth - expected).abs() < 0.1), "{depth:?}");
     }
 }
@@ -343,7 +379,7 @@ fn walls_of_a_room_go_on_where_no_point_is() {
     let floor = grid().map(|[u, v]| [6.0 * u - 3.0, 0.0, 4.0 * v - 1.0]);
     let points: Vec<[f32; 3]> =
         grid().map(|[u, v]| [3.0 * u - 3.0, -3.0 * v, 3.0]).chain(grid().map(table)).chain(floor).collect();
-    let shell = Shell::fit(&pinholes, &points, 0.0);
+    let shell = Shell::fit(&pinholes, &points, 0.0, None);
     let depth = |ray| shell.depth([0.5, -1.5, -2.5], ray).unwrap();
     for (ray, expected, what) in [
         ([0.2, -0.1, 1.0], 5.5, "the right half of the wall has no point"),
