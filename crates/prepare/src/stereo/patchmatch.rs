@@ -156,12 +156,12 @@ impl<'a> SourceView<'a> {
         Self { vantage: to, image_from_image: intrinsics(without_intrinsics), epipole }
     }
 
-    /// Where a pixel's point falls into this view, pixels; `None` behind the camera.
-    pub fn place(&self, [x, y]: [f32; 2], inverse_depth: f32) -> Option<[f32; 2]> {
-        let (m, e) = (&self.image_from_image, self.epipole);
-        let [x, y, depth]: [f32; 3] =
-            std::array::from_fn(|i| m[i][0] * x + m[i][1] * y + m[i][2] + inverse_depth * e[i]);
-        (depth > 0.0).then(|| [x / depth, y / depth])
+    /// The map of pixels to this view by a plane: it times `[x, y, 1]` is the place times the ratio of depths.
+    ///
+    /// - `inverse_depth`, `gradient`: of the plane, at the image's corner and for a step to the right and down
+    pub fn homography(&self, inverse_depth: f32, gradient: [f32; 2]) -> [[f32; 3]; 3] {
+        let of_depth = [gradient[0], gradient[1], inverse_depth];
+        std::array::from_fn(|i| std::array::from_fn(|j| self.image_from_image[i][j] + self.epipole[i] * of_depth[j]))
     }
 }
 

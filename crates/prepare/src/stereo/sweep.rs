@@ -3,6 +3,7 @@
 //! A plane maps the pixels of one image to another, by a homography. On the right plane both images look alike, however
 //! far apart the cameras stand. Cameras all around a scene share its floor, and often nothing else.
 
+use multiversion::multiversion;
 use rayon::prelude::*;
 use tcgs_core::{View, add_scaled, cross, dot, mean_vector, normalize};
 
@@ -26,7 +27,7 @@ const NUM_COMPARED: [usize; 2] = [8, 3];
 /// Angle of the floor's normal to the mean upward direction of the images: step and number of steps, degrees.
 const TILTS: (f32, usize) = (5.0, 4);
 /// Depths of the floor below the place that the cameras look at: from, to and step, as shares of the radius by [`focus`].
-const DEPTHS: [f32; 3] = [-0.1, 1.2, 0.03];
+const DEPTHS: [f32; 3] = [-0.06, 0.81, 0.03];
 /// Minimum [evidence](Sweep::evidence) for a floor.
 const MIN_EVIDENCE: f32 = 18.0;
 
@@ -144,11 +145,13 @@ impl Sweep {
             return 0.0;
         }
         let (mut sum, mut number) = (0.0, 0.0_f32);
+        let mut sums = Sums::default();
         for (of, others) in &self.pairs {
             let picture = &self.pictures[*of];
             let mut found = vec![[0.0_f32; 2]; picture.is_background.len()];
             for &other in others {
-                picture.compare(&self.pictures[other], plane, &mut found);
+                picture.warp(&self.pictures[other], plane, &mut sums.moments);
+                correlate(&mut sums, picture.vantage.pinhole.width, &mut found);
             }
             for [correlation, count] in found.into_iter().filter(|found| found[1] > 0.0) {
                 sum += correlation / count;
@@ -206,41 +209,85 @@ impl Picture {
         Self { vantage, is_background }
     }
 
-    /// Compares windows of this image with those of another, by the homography of a plane.
+    /// The grey levels of this image and of another that lie on each other by the homography of a plane.
     ///
-    /// - `found`: `[H, W]`, adds to each pixel the correlation of its window, and one; nothing to pixels without texture
-    fn compare(&self, other: &Self, plane: Wall, found: &mut [[f32; 2]]) {
+    /// - `moments`: becomes `[H, W]`, of each pixel 1, both grey levels, their squares and their product; 0 where there
+    ///   is no pair
+    fn warp(&self, other: &Self, plane: Wall, moments: &mut Vec<Moments>) {
         let (me, them) = (&self.vantage.pinhole, &other.vantage.pinhole);
-        let width = me.width;
-        // A ray meets the plane where its way along the normal is the camera's distance.
-        let toward = plane.normal.map(|x| x / -plane.distance(me.center));
-        let source = SourceView::new(&self.vantage, &other.vantage);
-        let mut moments = vec![[0.0_f32; 8]; self.is_background.len()];
-        for (pixel, moments) in moments.iter_mut().enumerate().filter(|&(pixel, _)| self.is_background[pixel]) {
-            let place = me.pixel_center(pixel);
-            let inverse_depth = dot(toward, me.ray(place));
-            if inverse_depth <= 0.0 {
-                continue;
+        // The inverse depth is linear in the pixel: a ray meets the plane where its way along the normal is the camera's
+        // distance.
+        let inverse_depth = |place: [f32; 2]| dot(plane.normal, me.ray(place)) / -plane.distance(me.center);
+        let start = inverse_depth([0.0; 2]);
+        let gradient = [inverse_depth([1.0, 0.0]) - start, inverse_depth([0.0, 1.0]) - start];
+        let homography = SourceView::new(&self.vantage, &other.vantage).homography(start, gradient);
+        moments.clear();
+        moments.resize(self.is_background.len(), Moments::default());
+        let last = [them.width, them.height].map(|side| (side - 1) as f32);
+        for (row, moments) in moments.chunks_exact_mut(me.width).enumerate() {
+            let is_background = &self.is_background[row * me.width..];
+            let gray = &self.vantage.gray[row * me.width..];
+            for (column, moments) in moments.iter_mut().enumerate().filter(|&(column, _)| is_background[column]) {
+                let (x, y) = (column as f32 + 0.5, row as f32 + 0.5);
+                let [u, v, depth] = homography.map(|row| row[0] * x + row[1] * y + row[2]);
+                let (u, v) = (u / depth - 0.5, v / depth - 0.5);
+                let is_before = depth > 0.0 && start + gradient[0] * x + gradient[1] * y > 0.0;
+                if !(is_before && u >= 0.0 && v >= 0.0 && u < last[0] && v < last[1]) {
+                    continue;
+                }
+                let (left, top) = (u as usize, v as usize);
+                let at = top * them.width + left;
+                // The neighbours of such a pixel are background as well.
+                if !other.is_background[at] {
+                    continue;
+                }
+                let [a, b] = [0, 1].map(|right| other.vantage.gray[at + right]);
+                let [c, d] = [0, 1].map(|right| other.vantage.gray[at + them.width + right]);
+                let (right, down) = (u - left as f32, v - top as f32);
+                let (above, below) = (a + right * (b - a), c + right * (d - c));
+                let (mine, theirs) = (gray[column], above + down * (below - above));
+                *moments = [1.0, mine, theirs, mine * mine, theirs * theirs, mine * theirs, 0.0, 0.0];
             }
-            let Some([x, y]) = source.place(place, inverse_depth) else { continue };
-            let (left, top) = ((x - 0.5).floor(), (y - 0.5).floor());
-            if !(left >= 0.0 && top >= 0.0 && left + 1.0 < them.width as f32 && top + 1.0 < them.height as f32) {
-                continue;
-            }
-            let at = top as usize * them.width + left as usize;
-            let corners = [at, at + 1, at + them.width, at + them.width + 1];
-            if corners.iter().any(|&at| !other.is_background[at]) {
-                continue;
-            }
-            let [a, b, c, d] = corners.map(|at| other.vantage.gray[at]);
-            let (right, down) = (x - 0.5 - left, y - 0.5 - top);
-            let (above, below) = (a + right * (b - a), c + right * (d - c));
-            let (mine, theirs) = (self.vantage.gray[pixel], above + down * (below - above));
-            *moments = [1.0, mine, theirs, mine * mine, theirs * theirs, mine * theirs, 0.0, 0.0];
         }
-        let sums = box_sums(&moments, width);
-        let least = MIN_SHOWN * ((2 * HALF_WINDOW + 1) * (2 * HALF_WINDOW + 1)) as f32;
-        for ([count, mine, theirs, mine2, theirs2, both, ..], found) in sums.into_iter().zip(found) {
+    }
+}
+
+/// Number of pairs of grey levels, and the sums of which correlations consist. Eight, for vectors.
+type Moments = [f32; 8];
+
+/// Memory for the sums over windows.
+#[derive(Default)]
+struct Sums {
+    /// `[H, W]`, of single pixels.
+    moments: Vec<Moments>,
+    /// `[H, W]`, of the columns through windows' middles.
+    columns: Vec<Moments>,
+}
+
+/// Correlations of the windows around all pixels.
+///
+/// - `found`: `[H, W]`, adds to each pixel the correlation of its window, and one; nothing to pixels without texture
+#[multiversion(targets("x86_64+avx2"))]
+fn correlate(sums: &mut Sums, width: usize, found: &mut [[f32; 2]]) {
+    let Sums { moments, columns } = sums;
+    let height = moments.len() / width;
+    let span = |at: usize, size: usize| at.saturating_sub(HALF_WINDOW)..(at + HALF_WINDOW + 1).min(size);
+    columns.clear();
+    for y in 0..height {
+        let start = columns.len();
+        columns.resize(start + width, Moments::default());
+        for row in span(y, height) {
+            for (sum, moments) in columns[start..].iter_mut().zip(&moments[row * width..(row + 1) * width]) {
+                add(sum, moments);
+            }
+        }
+    }
+    let least = MIN_SHOWN * ((2 * HALF_WINDOW + 1) * (2 * HALF_WINDOW + 1)) as f32;
+    for (columns, found) in columns.chunks_exact(width).zip(found.chunks_exact_mut(width)) {
+        for (x, found) in found.iter_mut().enumerate() {
+            let mut sum = Moments::default();
+            columns[span(x, width)].iter().for_each(|column| add(&mut sum, column));
+            let [count, mine, theirs, mine2, theirs2, both, ..] = sum;
             if count < least {
                 continue;
             }
@@ -256,19 +303,7 @@ impl Picture {
     }
 }
 
-/// `[H, W]`, sums over the window around each pixel, cut at the image's edges.
-fn box_sums(values: &[[f32; 8]], width: usize) -> Vec<[f32; 8]> {
-    let height = values.len() / width;
-    let add = |sum: &mut [f32; 8], values: &[f32; 8]| sum.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
-    let span = |at: usize, size: usize| at.saturating_sub(HALF_WINDOW)..(at + HALF_WINDOW + 1).min(size);
-    let mut rows = vec![[0.0; 8]; values.len()];
-    for (pixel, sum) in rows.iter_mut().enumerate() {
-        let start = pixel / width * width;
-        values[start..start + width][span(pixel % width, width)].iter().for_each(|values| add(sum, values));
-    }
-    let mut sums = vec![[0.0; 8]; values.len()];
-    for (pixel, sum) in sums.iter_mut().enumerate() {
-        span(pixel / width, height).for_each(|y| add(sum, &rows[y * width + pixel % width]));
-    }
-    sums
+#[inline(always)]
+fn add(sum: &mut Moments, other: &Moments) {
+    sum.iter_mut().zip(other).for_each(|(sum, other)| *sum += other);
 }

@@ -308,16 +308,17 @@ fn two_lines_of_sight_make_no_hull() {
 
 #[test]
 fn cameras_far_apart_share_a_floor() {
-    let settings = SyntheticSettings { num_train_cameras: 4, num_test_cameras: 0, ..SyntheticSettings::default() };
-    let (_folder, capture) = synthetic(&settings);
+    let small = SyntheticSettings { width: 96, height: 72, ..SyntheticSettings::default() };
+    let (_folder, capture) = synthetic(&SyntheticSettings { num_train_cameras: 4, num_test_cameras: 0, ..small });
     let mut views = capture.views(Split::Train, 0, 1).unwrap();
     assert!(are_far_apart(&views));
     let floor = sweep::find_floor(&views).unwrap();
     assert!(floor.normal[1] < -0.9998 && floor.offset.abs() < 0.02, "{floor:?}, the floor is at y = 0");
-    // Points below it are mistakes.
-    let points = prepared(&capture, &StereoSettings { num_points: 8000, ..StereoSettings::default() }).cloud.points;
-    let lowest = points.iter().map(|&point| floor.distance(point)).fold(f32::INFINITY, f32::min);
-    assert!(lowest > -0.02, "{lowest}");
+    // What is measured below it is a mistake.
+    let prepared = prepared(&capture, &StereoSettings { num_points: 8000, ..StereoSettings::default() });
+    let measured = prepared.cloud.points.iter().zip(&prepared.origins).filter(|(_, at)| **at == Origin::Triangulated);
+    let lowest = measured.map(|(&point, _)| floor.distance(point)).fold(f32::INFINITY, f32::min);
+    assert!((-1e-3..0.3).contains(&lowest), "{lowest}");
 
     // Cameras that are not where their images are from share nothing.
     let matrices: Vec<_> = views.iter().map(|view| view.camera.camera_from_world).collect();
