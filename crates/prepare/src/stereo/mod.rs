@@ -29,7 +29,7 @@ pub(crate) mod vantage;
 
 use rayon::prelude::*;
 use tcgs_capture::{Capture, Origin, Prepared, Split};
-use tcgs_core::{Camera, Pinhole, View, upper_median};
+use tcgs_core::{Camera, Pinhole, View, dot, upper_median};
 
 use crate::PrepareError;
 
@@ -90,6 +90,8 @@ const FOREGROUND_SHARE: f64 = 0.3;
 const FILL_SHARE: f64 = 0.2;
 /// A ray meets a point if a point falls into the ray's block of so many pixels squared.
 const BLOCK_PX: usize = 8;
+/// Angle to the nearest direction of another camera from which cameras stand all around a scene.
+const ALL_AROUND_DEGREES: f32 = 40.0;
 /// Number of views from which a point may hide a sure depth.
 const MAX_HIDDEN_FROM: usize = 1;
 
@@ -173,6 +175,14 @@ pub(crate) fn are_far_apart(views: &[View]) -> bool {
     2 * (0..pinholes.len()).filter(has_few).count() >= pinholes.len()
 }
 
+/// Whether half of the cameras or more look in another direction than any other by at least [`ALL_AROUND_DEGREES`].
+fn are_all_around(views: &[View]) -> bool {
+    let directions: Vec<[f32; 3]> = pinholes(views).iter().map(Pinhole::forward).collect();
+    let nearest = ALL_AROUND_DEGREES.to_radians().cos();
+    let is_alone = |&i: &usize| (0..directions.len()).all(|j| j == i || dot(directions[i], directions[j]) < nearest);
+    2 * (0..directions.len()).filter(is_alone).count() >= directions.len()
+}
+
 fn pinholes(views: &[View]) -> Vec<Pinhole<f32>> {
     views.iter().map(|view| Pinhole::new(&view.camera)).collect()
 }
@@ -185,8 +195,8 @@ pub(crate) fn cloud_of(views: &[View], settings: &StereoSettings, report: &mut d
     report("joining depths");
     let fused = stereo.fuse();
     report("continuing surfaces");
-    // Depths by two cameras that stand far apart are too few and too wrong to show the floor.
-    let floor = are_far_apart(views).then(|| sweep::find_floor(views)).flatten();
+    // Cameras all around measure too few depths to show the floor, and too many wrong ones.
+    let floor = are_all_around(views).then(|| sweep::find_floor(views)).flatten();
     stereo.points(&fused, settings.num_points, floor)
 }
 

@@ -26,7 +26,7 @@ const NOISE_VARIANCE: f32 = (2.0 / 255.0) * (2.0 / 255.0);
 const NUM_COMPARED: [usize; 2] = [8, 3];
 /// Angle of the floor's normal to the mean upward direction of the images: step and number of steps, degrees.
 const TILTS: (f32, usize) = (5.0, 4);
-/// Depths of the floor below the place that the cameras look at: from, to and step, as shares of the radius by [`focus`].
+/// Depths of the floor below the place that the cameras look at: from, to and step, as shares of its radius.
 const DEPTHS: [f32; 3] = [-0.06, 0.81, 0.03];
 /// Minimum [evidence](Sweep::evidence) for a floor.
 const MIN_EVIDENCE: f32 = 18.0;
@@ -54,6 +54,7 @@ pub(super) fn find_floor(views: &[View]) -> Option<Wall> {
     let pinholes: Vec<_> = coarse.pictures.iter().map(|picture| &picture.vantage.pinhole).collect();
     let (place, reach) = focus(&pinholes)?;
     let up = mean_vector(pinholes.iter().map(|pinhole| pinhole.rotation[1].map(|x| -x)));
+    // Images that lie on their sides cancel each other.
     if dot(up, up) < 0.25 {
         return None;
     }
@@ -138,8 +139,8 @@ impl Sweep {
     }
 
     /// How well the images match on a plane: the sum of the pixels' correlations over the root of their number; 0 if a
-    /// camera is behind the plane. Of five captures the floor has 27 to 85. With each camera in the place of another the
-    /// best plane has 5 to 12.
+    /// camera is behind the plane. The floors of five captures have 27 to 85. The best plane has 5 to 12 if each
+    /// camera has the place of another.
     fn evidence(&self, plane: Wall) -> f32 {
         if self.pictures.iter().any(|picture| plane.distance(picture.vantage.pinhole.center) <= 0.0) {
             return 0.0;
@@ -215,8 +216,7 @@ impl Picture {
     ///   is no pair
     fn warp(&self, other: &Self, plane: Wall, moments: &mut Vec<Moments>) {
         let (me, them) = (&self.vantage.pinhole, &other.vantage.pinhole);
-        // The inverse depth is linear in the pixel: a ray meets the plane where its way along the normal is the camera's
-        // distance.
+        // Linear in the pixel: a ray meets the plane where its way along the normal is the camera's distance.
         let inverse_depth = |place: [f32; 2]| dot(plane.normal, me.ray(place)) / -plane.distance(me.center);
         let start = inverse_depth([0.0; 2]);
         let gradient = [inverse_depth([1.0, 0.0]) - start, inverse_depth([0.0, 1.0]) - start];

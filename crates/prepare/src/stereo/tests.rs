@@ -47,7 +47,8 @@ fn points_lie_on_the_true_surfaces() {
     check(&prepared, false, Origin::Filled, 300, [(0.5, 0.16), (0.9, 0.45)]);
     // Some close holes that only cameras around see. Their depth is a guess.
     check(&in_images(&prepared, &capture), false, Origin::Shell, 100, [(0.5, 0.25), (0.9, 0.65)]);
-    assert!(!are_far_apart(&capture.views(Split::Train, 0, 1).unwrap()));
+    let views = capture.views(Split::Train, 0, 1).unwrap();
+    assert!(!are_far_apart(&views) && !are_all_around(&views));
     assert!((6000..=8000).contains(&prepared.cloud.points.len()), "{}", prepared.cloud.points.len());
     assert!((0.2..1.0).contains(&prepared.agreement), "{}", prepared.agreement);
 }
@@ -311,10 +312,10 @@ fn cameras_far_apart_share_a_floor() {
     let small = SyntheticSettings { width: 96, height: 72, ..SyntheticSettings::default() };
     let (_folder, capture) = synthetic(&SyntheticSettings { num_train_cameras: 4, num_test_cameras: 0, ..small });
     let mut views = capture.views(Split::Train, 0, 1).unwrap();
-    assert!(are_far_apart(&views));
+    assert!(are_all_around(&views));
     let floor = sweep::find_floor(&views).unwrap();
     assert!(floor.normal[1] < -0.9998 && floor.offset.abs() < 0.02, "{floor:?}, the floor is at y = 0");
-    // What is measured below it is a mistake.
+    // Measured points below it are mistakes.
     let prepared = prepared(&capture, &StereoSettings { num_points: 8000, ..StereoSettings::default() });
     let measured = prepared.cloud.points.iter().zip(&prepared.origins).filter(|(_, at)| **at == Origin::Triangulated);
     let lowest = measured.map(|(&point, _)| floor.distance(point)).fold(f32::INFINITY, f32::min);
