@@ -6,7 +6,7 @@
 //! - *hull* carves the visual hull of the masks, which bounds the depth of foreground.
 //! - *fuse* keeps the points on which several views agree.
 //! - *fill* interpolates depth across surfaces without texture.
-//! - *sweep* finds the floor that cameras far apart share.
+//! - *sweep* finds the floor that cameras all around share.
 //! - *shell* gives the remaining rays of background an end.
 //! - *holes* closes the shell where no training image shows anything.
 //! - *thin* reduces the points to the wanted number.

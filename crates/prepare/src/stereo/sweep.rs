@@ -50,7 +50,8 @@ struct Sweep {
 /// - `views`: upright on average; what moves is left out, by their masks
 /// - returns: `None` if images match on no plane, or if they have no common way up
 pub(super) fn find_floor(views: &[View]) -> Option<Wall> {
-    let coarse = Sweep::new(views, LONGER_SIDES[0]);
+    let sweeps = LONGER_SIDES.map(|longer_side| Sweep::new(views, longer_side));
+    let coarse = &sweeps[0];
     let pinholes: Vec<_> = coarse.pictures.iter().map(|picture| &picture.vantage.pinhole).collect();
     let (place, reach) = focus(&pinholes)?;
     let up = mean_vector(pinholes.iter().map(|pinhole| pinhole.rotation[1].map(|x| -x)));
@@ -79,8 +80,7 @@ pub(super) fn find_floor(views: &[View]) -> Option<Wall> {
             best.push(plane);
         }
     }
-    for (longer_side, count) in LONGER_SIDES.into_iter().zip(NUM_REFINED) {
-        let sweep = Sweep::new(views, longer_side);
+    for (sweep, count) in sweeps.iter().zip(NUM_REFINED) {
         let refined = best.into_iter().take(count).map(|(plane, _)| sweep.refined(plane, place, steps));
         best = sorted(refined.filter(|(plane, _)| dot(plane.normal, up) > max_tilt.cos()).collect());
         steps = steps.map(|step| step / 2.0);
@@ -88,7 +88,7 @@ pub(super) fn find_floor(views: &[View]) -> Option<Wall> {
     best.first().filter(|(_, evidence)| *evidence >= MIN_EVIDENCE).map(|&(plane, _)| plane)
 }
 
-/// Those with the most evidence first.
+/// Sorts planes by their evidence, the most first.
 fn sorted(mut planes: Vec<(Wall, f32)>) -> Vec<(Wall, f32)> {
     planes.sort_by(|a, b| b.1.total_cmp(&a.1));
     planes
