@@ -240,12 +240,23 @@ pub fn moving() -> MutexGuard<'static, ()> {
     MOVING.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// Creates a folder with its missing parents, as [`fs::create_dir_all`] does, but not after [`remove_held`]: a thread
+/// that still works would make a removed folder again.
+///
+/// # Errors
+/// The errors of the file system.
+pub fn create_folders(path: &Path) -> io::Result<()> {
+    let _waits = Held::all();
+    fs::create_dir_all(path)
+}
+
 /// Removes every [`Unfinished`] of this process. A program that a signal ends calls this, because values are not
-/// dropped then. Afterwards a thread that begins, keeps or drops an [`Unfinished`] waits for the end of the process.
+/// dropped then. Afterwards a thread that begins, keeps or drops an [`Unfinished`], or calls [`create_folders`], waits
+/// for the end of the process.
 pub fn remove_held() {
     let all = Held::all();
     for folder in all.iter() {
-        // Other threads may still write into it, and make it again.
+        // Other threads may still write into it.
         for _ in 0..REMOVALS {
             let _ = fs::remove_dir_all(folder);
             if !folder.exists() {

@@ -18,7 +18,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use serde_json::Value;
 use tcgs_codec::{BitMap, Quantizers};
 use tcgs_core::{DynamicGaussians, Lives, read_text};
-use tcgs_interchange::{Existing, write_whole};
+use tcgs_interchange::{Existing, create_folders, write_whole};
 
 use crate::TrainError;
 use crate::checkpoint::{Arrays, Chain, Checkpoint, For, LIVES, MASK_LOGITS, read_single, write_single};
@@ -88,7 +88,7 @@ impl Run {
     /// # Errors
     /// [`TrainError::Write`] if the folder or the file cannot be written.
     pub fn create(folder: &Path, config: &TrainConfig) -> Result<Self, TrainError> {
-        fs::create_dir_all(folder.join(CHECKPOINTS)).map_err(write(folder))?;
+        create_folders(&folder.join(CHECKPOINTS)).map_err(write(folder))?;
         let run = Self::new(folder, config.clone());
         run.write_whole(CONFIG, config.to_toml().as_bytes())?;
         Ok(run)
@@ -186,7 +186,7 @@ impl Run {
     /// # Errors
     /// [`TrainError::Write`] if the folder or the file cannot be written.
     pub fn save_start(folder: &Path, start: &Checkpoint) -> Result<(), TrainError> {
-        fs::create_dir_all(folder).map_err(write(folder))?;
+        create_folders(folder).map_err(write(folder))?;
         start.save(&folder.join(START), true)
     }
 

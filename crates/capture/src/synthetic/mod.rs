@@ -16,6 +16,7 @@ use std::path::Path;
 use rayon::prelude::*;
 use serde::Serialize;
 use tcgs_core::{Camera, Image, Pinhole};
+use tcgs_interchange::create_folders;
 
 use crate::{
     CaptureError,
@@ -102,7 +103,7 @@ pub fn write_synthetic(dir: &Path, settings: &SyntheticSettings) -> Result<(), C
     for camera in &cameras {
         for folder in ["ims", "seg"] {
             let path = dir.join(folder).join(camera.id.to_string());
-            std::fs::create_dir_all(&path).map_err(|error| failed(&path, error))?;
+            create_folders(&path).map_err(|error| failed(&path, error))?;
         }
     }
     write_meta(&dir.join("train_meta.json"), settings, cameras.iter().filter(|camera| !camera.test))?;

@@ -8,6 +8,7 @@ use image::RgbImage;
 use rayon::prelude::*;
 use tcgs_capture::{Capture, Split};
 use tcgs_core::Attribute;
+use tcgs_interchange::create_folders;
 use tcgs_pipeline::OpenScene;
 use tcgs_render::device::GpuError;
 use tcgs_render::{DrawAny, RenderSettings};
@@ -45,7 +46,7 @@ pub fn write_frames(
         for (i, (camera, pair)) in pairs.into_iter().enumerate() {
             let of_camera = folder.join(camera.to_string());
             let path = of_camera.join(format!("{frame:06}.png"));
-            fs::create_dir_all(&of_camera)
+            create_folders(&of_camera)
                 .map_err(anyhow::Error::new)
                 .and_then(|()| Ok(fs::write(&path, png(&pair)?)?))
                 .with_context(|| format!("writing {}", path.display()))?;

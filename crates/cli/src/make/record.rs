@@ -9,7 +9,7 @@ use anyhow::Context;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use tcgs_core::read_text;
-use tcgs_interchange::parent_folder;
+use tcgs_interchange::{create_folders, parent_folder};
 
 use super::budget::Plan;
 use crate::error::wrong_input;
@@ -154,7 +154,7 @@ impl Record {
     fn write(&self) -> anyhow::Result<()> {
         let text = serde_json::to_string_pretty(&self.stored).context("writing JSON")?;
         let folder = parent_folder(&self.path);
-        fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
+        create_folders(folder).with_context(|| format!("creating {}", folder.display()))?;
         write_file(&self.path, format!("{text}\n").as_bytes(), true)
     }
 }

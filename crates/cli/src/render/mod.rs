@@ -2,7 +2,6 @@
 
 mod video;
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -10,6 +9,7 @@ use anyhow::Context;
 use serde_json::json;
 use tcgs_capture::Capture;
 use tcgs_core::{Camera, Tour};
+use tcgs_interchange::create_folders;
 use tcgs_pipeline::{CameraAt, NewFolder, OpenScene, read_camera_path, render};
 
 use crate::backend::{BackendName, BackendOptions};
@@ -173,7 +173,7 @@ impl Output {
             Self::Folder(folder) => {
                 let path = folder.path().join(name);
                 if let Some(of_camera) = path.parent() {
-                    fs::create_dir_all(of_camera).with_context(|| format!("creating {}", of_camera.display()))?;
+                    create_folders(of_camera).with_context(|| format!("creating {}", of_camera.display()))?;
                 }
                 image::save_buffer(&path, rgb, width as u32, height as u32, image::ColorType::Rgb8)
                     .with_context(|| format!("writing {}", path.display()))

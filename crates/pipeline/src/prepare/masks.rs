@@ -10,7 +10,7 @@ use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, MASKS_FOLDER, Split};
 use tcgs_core::Segmentation;
-use tcgs_interchange::Existing;
+use tcgs_interchange::{Existing, create_folders};
 use tcgs_prepare::{MaskSettings, make_masks, obstacle_to_masks};
 
 use super::{fault, finish, say, unwritable, write};
@@ -138,7 +138,7 @@ fn write_mask(file: &Path, mask: &Segmentation) -> Result<(), PipelineError> {
         return Ok(());
     }
     if let Some(folder) = file.parent() {
-        std::fs::create_dir_all(folder).map_err(unwritable(folder))?;
+        create_folders(folder).map_err(unwritable(folder))?;
     }
     let white: Vec<u8> = mask.foreground.iter().map(|&marked| if marked { 255 } else { 0 }).collect();
     let mut bytes = Vec::new();

@@ -5,7 +5,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use tcgs_interchange::is_unfinished;
+use tcgs_interchange::{create_folders, is_unfinished};
 use tcgs_train::{Checkpoint, Run, TrainError, Trainer};
 
 use crate::observe::tell;
@@ -126,7 +126,7 @@ impl RunFolder {
     pub fn make(folder: &Path) -> Result<Self, PipelineError> {
         let is_missing = |folder: &&Path| !folder.as_os_str().is_empty() && !folder.exists();
         let made = folder.ancestors().take_while(is_missing).last().map(Path::to_path_buf);
-        fs::create_dir_all(folder).map_err(|error| PipelineError::Unwritable { path: folder.into(), error })?;
+        create_folders(folder).map_err(|error| PipelineError::Unwritable { path: folder.into(), error })?;
         let mut locked = Self::lock(folder)?;
         locked.made = made;
         Ok(locked)
