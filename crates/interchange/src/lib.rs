@@ -67,8 +67,8 @@ pub use space_order::space_order;
 pub use spz::{SpzVersion, write_spz_to};
 pub use timestep_files::TimestepFiles;
 pub use unfinished::{
-    ABANDONED, Existing, Kept, Unfinished, create_folders, is_unfinished, moving, parent_folder, remove_held, remove_unfinished,
-    write_whole,
+    ABANDONED, Existing, Kept, Unfinished, create_folders, is_unfinished, moving, parent_folder, remove_held,
+    remove_unfinished, write_whole,
 };
 pub use unread::UnreadKind;
 pub use usd::write_usda_to;

@@ -55,7 +55,7 @@ impl Moments {
     /// If lengths differ, or there are fewer moments.
     pub fn update(&mut self, values: &mut [f32], v_values: &[f32], rate: f32) {
         let (first, second) = (&mut self.first[..values.len()], &mut self.second[..values.len()]);
-        adam(values, v_values, first, second, &mut self.step, rate);
+        adam(values, v_values, first, second, &mut self.step, rate, EPSILON);
     }
 }
 
@@ -76,10 +76,19 @@ pub(crate) fn adam_factors(rate: f32, count: u64) -> [f32; 2] {
 /// - `v_values`: `[values]`, their gradient
 /// - `first`, `second`: `[values]`, running means of the gradient and of its square, updated in place
 /// - `step`: updates so far, counted on
+/// - `epsilon`: `ε`
 ///
 /// # Panics
 /// If lengths differ.
-pub fn adam(values: &mut [f32], v_values: &[f32], first: &mut [f32], second: &mut [f32], step: &mut u64, rate: f32) {
+pub fn adam(
+    values: &mut [f32],
+    v_values: &[f32],
+    first: &mut [f32],
+    second: &mut [f32],
+    step: &mut u64,
+    rate: f32,
+    epsilon: f32,
+) {
     assert_eq!(
         [values.len(), v_values.len(), second.len()],
         [first.len(); 3],
@@ -101,7 +110,7 @@ pub fn adam(values: &mut [f32], v_values: &[f32], first: &mut [f32], second: &mu
             for (((x, &v), m), s) in values.iter_mut().zip(v_values).zip(first).zip(second) {
                 *m = BETA1 * *m + (1.0 - BETA1) * v;
                 *s = BETA2 * *s + (1.0 - BETA2) * v * v;
-                *x -= step_size * *m / (s.sqrt() * correction + EPSILON);
+                *x -= step_size * *m / (s.sqrt() * correction + epsilon);
             }
         });
 }

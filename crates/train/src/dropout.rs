@@ -1,5 +1,9 @@
-//! Dropout: iterations of the first timestep leave out Gaussians at random, so that none relies on a certain other one
-//! (Park et al. 2025, DropGaussian). Where few cameras see a place, this keeps Gaussians from fitting single images.
+//! Dropout: iterations of the first timestep and of a refinement leave out Gaussians at random, so that none relies on
+//! a certain other one (Park et al. 2025, DropGaussian). Where few cameras see a place, this keeps Gaussians from
+//! fitting single images.
+
+/// Most training cameras of a scene that has few: for more cameras no gain was measured.
+pub(crate) const FEW_CAMERAS: usize = 7;
 
 /// The Gaussians that one iteration leaves out.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

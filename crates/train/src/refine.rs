@@ -18,6 +18,7 @@ use tcgs_core::{Attribute, GaussianGrads, View, activate, activate_bwd, seen_col
 use tcgs_render::{Rasterizer, RenderSettings};
 
 use crate::adam::BETA1;
+use crate::dropout::{Dropout, FEW_CAMERAS};
 use crate::engine::cpu::{ImageLoss, image_loss};
 use crate::parameters::{DIFFERENT, spread_of_cameras};
 use crate::schedule::cosine;
@@ -43,11 +44,13 @@ pub struct RefineConfig {
     /// Adam's ε, relative to the root mean second moment of the attribute. It keeps codes still whose gradients are
     /// mostly noise, since each move costs bits. Default 0.5.
     pub damping: f32,
+    /// Share of the Gaussians that an iteration leaves out at random if there are at most seven cameras. Default 0.2.
+    pub dropout: f32,
 }
 
 impl Default for RefineConfig {
     fn default() -> Self {
-        Self { rate: 0.2, decay: 0.002, damping: 0.5 }
+        Self { rate: 0.2, decay: 0.002, damping: 0.5, dropout: 0.2 }
     }
 }
 
@@ -80,6 +83,8 @@ pub struct Refiner {
     cameras_differ: bool,
     /// By the number of updates less 1: what corrects the bias of both moments.
     corrections: Vec<[f32; 2]>,
+    /// The Gaussians that the next iteration leaves out.
+    dropout: Dropout,
 }
 
 impl Refiner {
@@ -95,9 +100,11 @@ impl Refiner {
         let corrections = (1..=NUM_CORRECTIONS as i32).map(correction).collect();
         let light = vec![[Latent::default(); 3]; scene.num_timesteps()];
         let cameras_differ = spread_of_cameras(cameras) > DIFFERENT;
-        let cameras = cameras.iter().map(|camera| camera.map(|values| values.map(latent))).collect();
+        let cameras: Vec<_> = cameras.iter().map(|camera| camera.map(|values| values.map(latent))).collect();
         let mean_second = vec![0.0; latents.len()];
-        Self { scene, config, latents, mean_second, light, cameras, cameras_differ, corrections }
+        let share = if cameras.len() <= FEW_CAMERAS { config.dropout } else { 0.0 };
+        let dropout = Dropout { share, draw: 0 };
+        Self { scene, config, latents, mean_second, light, cameras, cameras_differ, corrections, dropout }
     }
 
     /// The gains trained so far, which [`Self::into_scene`] does not apply.
@@ -130,7 +137,8 @@ impl Refiner {
     ) -> Result<f64, R::Error> {
         let light = &mut self.light[timestep];
         let [gain, offset] = self.cameras[camera].map(|values| values.map(|latent| latent.value));
-        let shown = Shown { timestep, light: light.map(|latent| latent.value), gain, offset };
+        let shown = Shown { timestep, light: light.map(|latent| latent.value), gain, offset, dropout: self.dropout };
+        self.dropout.draw += 1;
         let Gradients { loss, v_light, grads } = gradients(rasterizer, &self.scene, view, &shown)?;
         let decay = cosine(self.config.decay, progress);
         for (light, v_light) in light.iter_mut().zip(v_light) {
@@ -262,6 +270,7 @@ struct Shown {
     light: [f32; 3],
     gain: [f32; 3],
     offset: [f32; 3],
+    dropout: Dropout,
 }
 
 /// The loss of a picture, with the gradient to gain and offset of the camera.
@@ -281,7 +290,7 @@ fn gradients<R: Rasterizer>(
     rasterizer: &R,
     scene: &CompactScene,
     view: &View,
-    &Shown { timestep, light, gain, offset }: &Shown,
+    &Shown { timestep, light, gain, offset, dropout }: &Shown,
 ) -> Result<Gradients, R::Error> {
     let (gaussians, camera) = (scene.at(timestep), &view.camera);
     let has_harmonics = gaussians.layout().sh_degree() > 0;
@@ -296,6 +305,13 @@ fn gradients<R: Rasterizer>(
             }
         });
     }
+    let opacities = drawn.opacities.clone();
+    let leave_out = |values: &mut [f32]| {
+        if dropout.share > 0.0 {
+            values.par_iter_mut().enumerate().for_each(|(i, value)| *value *= dropout.factor(i as u32));
+        }
+    };
+    leave_out(&mut drawn.opacities);
     // The light multiplies the whole picture, and is not to change the background.
     drawn.background.iter_mut().zip(light).for_each(|(background, light)| *background /= light.exp());
     let settings = RenderSettings { statistic_channels: 0, ..RenderSettings::default() };
@@ -307,7 +323,9 @@ fn gradients<R: Rasterizer>(
         let of_pixels = loss.v_image.plane(channel).iter().zip(&output.transmittance);
         *v_light -= drawn.background[channel] * of_pixels.map(|(v, passed)| v * passed).sum::<f32>();
     }
-    let grads = rasterizer.backward(&drawn, camera, &settings, &saved, &loss.v_image)?;
+    let mut grads = rasterizer.backward(&drawn, camera, &settings, &saved, &loss.v_image)?;
+    leave_out(&mut grads.activated.v_opacities);
+    drawn.opacities = opacities;
     let mut v_gaussians = activate_bwd(&gaussians, &drawn, &grads.activated);
     if has_harmonics {
         seen_colors_bwd(&gaussians, camera, &mut v_gaussians);
@@ -413,6 +431,17 @@ mod tests {
 
     #[test]
     fn gradients_to_codes_and_light_match_central_differences() {
+        assert_eq!(gradients_match_central_differences(0.0), 0);
+    }
+
+    #[test]
+    fn gradients_match_central_differences_where_gaussians_are_left_out() {
+        assert_eq!(gradients_match_central_differences(0.2), 2);
+    }
+
+    /// - `dropout`: share
+    /// - returns: the number of Gaussians that were left out
+    fn gradients_match_central_differences(dropout: f32) -> usize {
         let mut scene = compact(6, 14);
         scene.layout = scene.layout.with_background([200, 0, 120]);
         // Brighter than anything drawn, away from the kink of L1.
@@ -420,13 +449,15 @@ mod tests {
         let timestep = 2;
         let correction = [[0.05, -0.1, 0.0], [0.01, 0.0, -0.02]];
         let view = View { camera: camera(), image, segmentation: None, frame: 0, camera_id: 0 };
+        let config = RefineConfig { rate: 0.0, dropout, ..RefineConfig::default() };
+        let dropout = Dropout { share: dropout, draw: 0 };
+        let is_left_out = |i: usize| dropout.factor(i as u32) == 0.0;
         let lit = |scene: &CompactScene, light: [f32; 3]| {
             let [gain, offset] = correction;
-            let Ok(found) = gradients(&CpuRasterizer, scene, &view, &Shown { timestep, light, gain, offset });
+            let Ok(found) = gradients(&CpuRasterizer, scene, &view, &Shown { timestep, light, gain, offset, dropout });
             found.loss.image
         };
         let loss = |scene: &CompactScene| lit(scene, [0.0; 3]);
-        let config = RefineConfig { rate: 0.0, ..RefineConfig::default() };
         let mut refiner = Refiner::new(scene.clone(), &[correction], config);
         let Ok(_) = refiner.step(&CpuRasterizer, timestep, 0, &view, 0.0);
         let (mut num_shared, mut num_compared) = (0, 0);
@@ -446,6 +477,10 @@ mod tests {
                     loss(&scene)
                 };
                 let near: Vec<usize> = (starts[track]..starts[track + 1]).filter(|&k| latents[k].count > 0).collect();
+                if is_left_out(track / components) {
+                    assert!(near.is_empty(), "{attribute:?} {track}: no picture shows it");
+                    continue;
+                }
                 assert!((1..=2).contains(&near.len()), "{attribute:?} {track}: {} keypoints are trained", near.len());
                 num_shared += usize::from(near.len() == 2);
                 for keypoint in near {
@@ -477,6 +512,7 @@ mod tests {
         }
         assert!(num_compared > 40, "{num_compared} codes are compared");
         assert!(num_shared > 5, "{num_shared} tracks lie between two keypoints");
+        (0..6).filter(|&i| is_left_out(i)).count()
     }
 
     #[test]
@@ -548,7 +584,7 @@ mod tests {
             View { camera: camera(), image: output.image, segmentation: None, frame: t, camera_id: 0 }
         };
         let views: Vec<View> = (0..NUM_TIMESTEPS).map(view).collect();
-        let still = RefineConfig { rate: 0.0, ..RefineConfig::default() };
+        let still = RefineConfig { rate: 0.0, dropout: 0.0, ..RefineConfig::default() };
         let mut refiner = Refiner::new(scene.clone(), &[[[0.0; 3]; 2]], still);
         let count = 60 * NUM_TIMESTEPS;
         for (i, t) in (0..NUM_TIMESTEPS).cycle().take(count).enumerate() {

@@ -105,7 +105,8 @@ impl Run {
         let (gate, births, deaths) = (GateConfig::OFF, BirthConfig::OFF, DeathConfig::OFF);
         let render = RenderConfig::OFF;
         let mut base = TrainConfig { gate, births, deaths, render, ..TrainConfig::default() };
-        (base.densify.prune_error, base.densify.dropout, base.rates.camera_centered) = (0.0, 0.0, false);
+        (base.densify.prune_error, base.densify.dropout) = (0.0, 0.0);
+        (base.rates.color_damping, base.rates.camera_centered) = (0.0, false);
         let merged = |base: &TrainConfig| {
             base.merge(&text).map_err(|e| TrainError::File { path: path.clone(), problem: e.to_string() })
         };

@@ -3,11 +3,9 @@
 
 use tcgs_core::{Column, RateGroup};
 
+use crate::adam::EPSILON;
 use crate::config::{REFERENCE_ITERATIONS, TrainConfig};
-use crate::dropout::Dropout;
-
-/// Most training cameras of a scene whose Gaussians are left out at random.
-const FEW_CAMERAS: usize = 7;
+use crate::dropout::{Dropout, FEW_CAMERAS};
 
 /// Learning rate of the young for columns that are constant over time, relative to that of the newborn. These columns
 /// also change how the timesteps since their birth look.
@@ -24,6 +22,8 @@ pub struct Rates {
     pub color: f32,
     /// Rate of colours that do not vary with time: the coefficients of spherical harmonics.
     pub harmonic: f32,
+    /// Adam's ε of all colours.
+    pub color_epsilon: f32,
     /// Rate of the logit opacities; 0 in [`Phase::Rest`].
     pub logit_opacity: f32,
     /// Rate of the log scales; 0 in [`Phase::Rest`].
@@ -54,6 +54,11 @@ impl Rates {
             RateGroup::Color if column.varies => self.color,
             RateGroup::Color => self.harmonic,
         }
+    }
+
+    /// Adam's ε of a column.
+    pub(crate) fn epsilon_of(&self, column: &Column) -> f32 {
+        if column.rate == RateGroup::Color { self.color_epsilon } else { EPSILON }
     }
 }
 
@@ -136,6 +141,7 @@ impl Schedule {
                     quat: r.quat * scale * decay,
                     color: r.color * decay,
                     harmonic: r.harmonic * decay * constant,
+                    color_epsilon: EPSILON,
                     logit_opacity: r.logit_opacity * decay * constant,
                     log_scale: r.log_scale * scale * decay * constant,
                     // All Gaussians share the cameras.
@@ -156,6 +162,7 @@ impl Schedule {
                     quat: r.quat * motion,
                     color: r.color_rest * cosine(r.motion_decay),
                     harmonic: 0.0,
+                    color_epsilon: EPSILON,
                     logit_opacity: 0.0,
                     log_scale: 0.0,
                     camera: 0.0,
@@ -177,6 +184,18 @@ impl Schedule {
         }
         let progress = iteration as f32 / self.iterations(phase) as f32;
         Dropout { share: self.config.densify.dropout * progress, draw: iteration as u32 }
+    }
+
+    /// Adam's ε of the colours: [`EPSILON`], but larger in the first timestep of few cameras. A gradient of any size
+    /// makes whole steps of Adam, and a Gaussian that hardly shows would take any colour.
+    ///
+    /// - `num_cameras`: training cameras
+    /// - `num_pixels`: of an image, over whose three channels the loss is a mean
+    pub(crate) fn color_epsilon(&self, phase: Phase, num_cameras: usize, num_pixels: usize) -> f32 {
+        if phase != Phase::First || num_cameras > FEW_CAMERAS {
+            return EPSILON;
+        }
+        EPSILON.max(self.config.rates.color_damping / (3 * num_pixels) as f32)
     }
 
     /// Whether quantisation starts at this iteration.
@@ -223,7 +242,9 @@ mod tests {
         assert_eq!(s.dropout(Phase::First, 750, 7), Dropout { share: 0.1, draw: 750 });
         for (phase, num_cameras) in [(Phase::First, 8), (Phase::Rest, 7), (Phase::Birth, 7)] {
             assert_eq!(s.dropout(phase, 100, num_cameras), Dropout::default());
+            assert_eq!(s.color_epsilon(phase, num_cameras, 1000), EPSILON);
         }
+        assert_eq!(s.color_epsilon(Phase::First, 7, 1000), 0.3 / 3000.0);
         assert!(s.rates(Phase::Rest, 299).mean < 0.05 * s.rates(Phase::Rest, 0).mean);
     }
 }

@@ -58,10 +58,10 @@ impl Optimizer {
     ///
     /// # Panics
     /// If lengths differ, or there are fewer Gaussians.
-    pub fn update(&mut self, attribute: Attribute, values: &mut [f32], v_values: &[f32], rate: f32) {
+    pub fn update(&mut self, attribute: Attribute, values: &mut [f32], v_values: &[f32], rate: f32, epsilon: f32) {
         let (first, second) = (self.first.values_mut(attribute), self.second.values_mut(attribute));
         let (first, second) = (&mut first[..values.len()], &mut second[..values.len()]);
-        adam(values, v_values, first, second, &mut self.steps[attribute.index()], rate);
+        adam(values, v_values, first, second, &mut self.steps[attribute.index()], rate, epsilon);
     }
 
     /// Sets the moments of a column to zero, as [`Moments::clear`] does.

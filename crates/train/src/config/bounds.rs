@@ -29,7 +29,7 @@ const RATE: Bounds = Number(0.0, 1e38);
 const WEIGHT: Bounds = Number(0.0, FACTOR);
 
 /// Every setting by its dotted name, in the order of `config.toml`.
-const BOUNDS: [(&str, Bounds); 74] = [
+const BOUNDS: [(&str, Bounds); 75] = [
     ("preset", Any),
     ("seed", Any),
     ("data.capture", Any),
@@ -45,6 +45,7 @@ const BOUNDS: [(&str, Bounds); 74] = [
     ("schedule.rest_iterations", Whole(1, ITERATIONS)),
     ("rates.mean", RATE),
     ("rates.color", RATE),
+    ("rates.color_damping", Number(0.0, FACTOR)),
     ("rates.harmonic", RATE),
     ("rates.color_rest", RATE),
     ("rates.quat", RATE),

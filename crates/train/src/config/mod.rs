@@ -144,6 +144,7 @@ impl TrainConfig {
             rates: RateConfig {
                 mean: 1.6e-4,
                 color: 2.5e-3,
+                color_damping: 0.0,
                 harmonic: 1.25e-4,
                 color_rest: 2.5e-3,
                 quat: 1e-3,
@@ -204,6 +205,7 @@ impl TrainConfig {
                 config.rates.reset_steps = true;
                 config.rates.step = 0.002;
                 config.rates.color_rest = 5e-4;
+                config.rates.color_damping = 0.3;
                 config.rates.camera_centered = true;
                 // Less of what holds motion together, and much less of outlines, at which Gaussians would gather.
                 config.weights = WeightConfig {
@@ -378,8 +380,8 @@ mod tests {
         assert_eq!((q.mean_bits, q.bit_map, q.learned_offset), (5.0, BitMapKind::Linear, false));
         assert_eq!((d.start, d.interval, d.reset, d.prune_large), (500, 100, 3000, 3000));
         assert_eq!((d.gradient_threshold, d.prune_opacity_end), (2e-4, 0.25));
-        assert_eq!(d.prune_error, 0.0);
         let r = &paper.rates;
+        assert_eq!([d.prune_error, d.dropout, r.color_damping], [0.0; 3]);
         assert_eq!((r.step, r.mask, r.color_rest, r.motion_decay), (0.02, 0.01, r.color, 1.0));
         assert_eq!((r.first_decay, r.first_scale, r.reset_steps, r.camera_centered), (1.0, 1.0, false, false));
         assert_eq!(

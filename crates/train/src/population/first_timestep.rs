@@ -8,6 +8,7 @@ use super::densify::{DensifyStep, densify, remove_others, reset_opacities};
 use super::free_space::FreeSpace;
 use super::removal::{Needed, Removal, TimestepViews, needed};
 use crate::config::TrainConfig;
+use crate::dropout::FEW_CAMERAS;
 use crate::mask::{mask, masked_out};
 use crate::schedule::{Phase, Schedule};
 use crate::solver::Asked;
@@ -24,6 +25,10 @@ const NUM_PRUNINGS: usize = 3;
 
 /// Fewest iterations of a first timestep that makes up for the error of such a removal. Not scaled.
 const RECOVERY: f32 = 1000.0;
+
+/// Factor of the error that a removal may add if there are few training cameras, whose images are fitted more closely
+/// than the scene. A fifth of the Gaussians is not missed.
+const FEW_CAMERAS_SHARE: f32 = 3.0;
 
 /// Largest share of the Gaussians that one removal by error takes. The others need iterations to take over.
 const MOST_REMOVED: f32 = 0.4;
@@ -106,7 +111,7 @@ impl FirstTimestep {
                 views,
                 corrections: &state.parameters.corrections(),
             };
-            let removal = Removal { share: self.prune_error(), most: MOST_REMOVED, costs: None, seed };
+            let removal = Removal { share: self.prune_error(views.len()), most: MOST_REMOVED, costs: None, seed };
             let Needed { rows, around } = needed(&[timestep], &removal);
             let num_trained = state.num_trained();
             let fixed = num_trained..state.parameters.num_gaussians();
@@ -185,10 +190,11 @@ impl FirstTimestep {
     }
 
     /// Share by which each removal of Gaussians that the images hardly need may increase the squared error. A schedule
-    /// too short to make up for the error has a smaller share.
-    fn prune_error(&self) -> f32 {
+    /// too short to make up for the error has a smaller share, one of few cameras a larger share.
+    fn prune_error(&self, num_cameras: usize) -> f32 {
         let iterations = self.schedule.iterations(Phase::First) as f32;
-        self.config.densify.prune_error * (iterations / RECOVERY).min(1.0)
+        let few = if num_cameras <= FEW_CAMERAS { FEW_CAMERAS_SHARE } else { 1.0 };
+        self.config.densify.prune_error * (iterations / RECOVERY).min(1.0) * few
     }
 
     /// Whether Gaussians that the training images hardly need are removed after this iteration.
@@ -246,7 +252,8 @@ mod tests {
         assert_eq!(events, [100, 200, 300, 400, 500, 600, 700]);
         assert!(s.is_last_densification(700) && !s.is_last_densification(600));
         assert_eq!((0..1500).filter(|&i| s.prunes_unneeded(i)).collect::<Vec<_>>(), [788, 825, 863]);
-        assert_eq!((s.prune_error(), first_timestep(60, Preset::Fast).prune_error()), (1.0, 0.06));
+        let short = first_timestep(60, Preset::Fast);
+        assert_eq!([s.prune_error(8), s.prune_error(7), short.prune_error(8)], [1.0, 3.0, 0.06]);
         assert!((0..1500).all(|i| !s.resets_opacities(i) && !s.removes_large(i) && !s.prunes_masked(i)));
         let (long, short) = (first_timestep(1500, Preset::Paper), first_timestep(250, Preset::Paper));
         assert!(long.resets_opacities(450) && long.removes_large(450) && long.reshapes(450));

@@ -199,6 +199,9 @@ impl Solver {
             // Locked Gaussians share the quantizers.
             rates.step = 0.0;
         }
+        let image = &self.targets[camera].image;
+        let num_pixels = image.width * image.height;
+        rates.color_epsilon = self.schedule.color_epsilon(iterations.phase, iterations.cameras.len(), num_pixels);
         if rates.centers_cameras && self.spread_of_cameras > DIFFERENT.max(NOISE * rates.camera) {
             rates.camera *= DIFFERENT_CAMERAS;
         }

@@ -302,7 +302,8 @@ impl CpuEngine {
                 let (attribute, rate) = (column.attribute, rates.of(column));
                 let count = num_active * column.components();
                 let v = &grads.gaussians.values(attribute)[..count];
-                o.update(attribute, &mut p.gaussians.values_mut(attribute)[..count], v, rate);
+                let values = &mut p.gaussians.values_mut(attribute)[..count];
+                o.update(attribute, values, v, rate, rates.epsilon_of(column));
             }
             if step.mask.enabled {
                 o.mask.update(&mut p.mask_logits[..num_active], &grads.mask_logits[..num_active], rates.mask);

@@ -232,13 +232,13 @@ impl StepUniform {
     }
 }
 
-/// Adam's factors for one group, as a shader reads them: `(step size, correction, 0, 0)`.
+/// Adam's factors for one group, as a shader reads them: `(step size, correction, ε, 0)`.
 ///
 /// - `rate`: learning rate; 0 leaves the group as it is
 /// - `count`: updates including this one, from 1
-pub fn adam_rates(rate: f32, count: u64) -> [f32; 4] {
+pub fn adam_rates(rate: f32, count: u64, epsilon: f32) -> [f32; 4] {
     let [step_size, correction] = adam_factors(rate, count);
-    [step_size, correction, 0.0, 0.0]
+    [step_size, correction, epsilon, 0.0]
 }
 
 /// Counts an iteration for Adam; the device does not.
@@ -249,16 +249,17 @@ pub(crate) fn count_updates(step: &Step<'_>, packing: &Packing, state: &mut Stat
         state.quantizers.as_ref().map_or((false, false), |q| (!q.quantizers.is_empty(), q.learned_offset));
     let (o, rates, moves) = (&mut state.optimizer, &step.rates, step.moves_gaussians);
     let mut counted = vec![[0.0; 4]; packing.num_groups()];
-    let mut count = |group: usize, updates: &mut u64, rate: f32, is_on: bool| {
+    let mut count = |group: usize, updates: &mut u64, rate: f32, epsilon: f32, is_on: bool| {
         if is_on {
             *updates += 1;
-            counted[group] = adam_rates(rate, *updates);
+            counted[group] = adam_rates(rate, *updates, epsilon);
         }
     };
     for column in packing.layout().columns() {
         let group = column.attribute.index();
-        count(group, &mut o.steps[group], rates.of(column), moves);
+        count(group, &mut o.steps[group], rates.of(column), rates.epsilon_of(column), moves);
     }
+    let mut count = |group, updates: &mut u64, rate, is_on| count(group, updates, rate, EPSILON, is_on);
     let small = |group| packing.small_group(group);
     count(small(SmallGroup::Mask), &mut o.mask.step, rates.mask, moves && step.mask.enabled);
     count(small(SmallGroup::Gains), &mut o.gains.step, rates.camera, rates.camera > 0.0);
@@ -293,7 +294,6 @@ pub(crate) fn source(packing: &Packing, constants: Wgsl) -> Wgsl {
         .constant("LOSS_VALUES", LOSS_VALUES)
         .constant("BETA1", BETA1)
         .constant("BETA2", BETA2)
-        .constant("EPSILON", EPSILON)
 }
 
 #[cfg(test)]
@@ -306,7 +306,7 @@ mod tests {
     use crate::config::TrainConfig;
     use crate::dropout::Dropout;
     use crate::parameters::Parameters;
-    use crate::schedule::{Phase, Schedule};
+    use crate::schedule::{Phase, Rates, Schedule};
 
     #[test]
     fn every_group_that_moves_is_counted() {
@@ -322,7 +322,7 @@ mod tests {
         };
         let (mut state, mut config) = (State::new(parameters), TrainConfig::default());
         config.mask.enabled = true;
-        let rates = Schedule::new(&config, 1.0).rates(Phase::First, 0);
+        let rates = Rates { color_epsilon: 0.5, ..Schedule::new(&config, 1.0).rates(Phase::First, 0) };
         let (weights, mask) = (&config.weights, &config.mask);
         let step = Step {
             camera: 0,
@@ -335,8 +335,11 @@ mod tests {
         };
         let counted = count_updates(&step, &packing, &mut state);
         assert_eq!((counted.len(), &state.optimizer.steps[..]), (11, &[1; 6][..]));
-        for (group, rate) in [(0, rates.mean), (4, rates.color), (6, rates.mask), (7, rates.camera)] {
-            assert_eq!(counted[group], adam_rates(rate, 1), "{group}");
+        let (small, color) = (EPSILON, rates.color_epsilon);
+        for (group, rate, epsilon) in
+            [(0, rates.mean, small), (4, rates.color, color), (6, rates.mask, small), (7, rates.camera, small)]
+        {
+            assert_eq!(counted[group], adam_rates(rate, 1, epsilon), "{group}");
         }
         assert_eq!((counted[9], counted[10], state.optimizer.quantizer_steps.step), ([0.0; 4], [0.0; 4], 0));
         let still = Step { moves_gaussians: false, ..step };

@@ -78,13 +78,14 @@ mod tests {
     use tcgs_core::{Layout, normalize};
 
     use super::*;
-    use crate::adam::Moments;
+    use crate::adam::{EPSILON, Moments, adam};
     use crate::engine::device::{StepUniform, adam_rates};
     use crate::engine::gpu::test_support::{assert_close, gpu, random, run, uniform};
 
     /// Values of a Gaussian by group: mean, quat, log_scale, logit_opacity, color, mask.
     const COMPONENTS: [usize; 6] = [3, 4, 3, 1, 3, 1];
     const RATES: [f32; 6] = [1e-2, 1e-3, 0.0, 5e-2, 2.5e-3, 1e-2];
+    const EPSILONS: [f32; 6] = [EPSILON, EPSILON, EPSILON, EPSILON, 1e-3, EPSILON];
 
     struct Case {
         flags: u32,
@@ -132,13 +133,15 @@ mod tests {
                 ..StepUniform::default()
             };
             for group in 0..6 {
-                rates[group] = adam_rates(RATES[group], moments[group].step + 1);
+                rates[group] = adam_rates(RATES[group], moments[group].step + 1, EPSILONS[group]);
                 let range = starts[group]..starts[group] + COMPONENTS[group] * n;
                 let moves = case.flags & StepUniform::MOVES != 0
                     && (group < 5 || case.flags & StepUniform::MASKED != 0)
                     && case.halted == 0;
                 if moves {
-                    moments[group].update(&mut values[range.clone()], &v[range], RATES[group]);
+                    let Moments { first, second, step } = &mut moments[group];
+                    let (values, v) = (&mut values[range.clone()], &v[range]);
+                    adam(values, v, first, second, step, RATES[group], EPSILONS[group]);
                 }
             }
             if case.flags & StepUniform::QUANTIZED != 0 && case.halted == 0 {

@@ -28,7 +28,7 @@ fn adam(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) l
         which += 1u;
         len = COMPONENTS[which] * step.num_active;
     }
-    let rates = step.adam[which].xy;
+    let rates = step.adam[which].xyz;
     let needed = select(MOVES, MOVES | MASKED, which == ADAM_MASK);
     let moves = (step.flags & needed) == needed && rates.x != 0.0;
     // Codes are those of unit quaternions.

@@ -44,7 +44,7 @@ fn images_and_cameras(local: u32) {
     let num = 3u * step.num_cameras;
     for (var i = local; goes_on && i < 2u * num; i += 256u) {
         let kind = i / num;
-        let rates = step.adam[ADAM_GAINS + kind].xy;
+        let rates = step.adam[ADAM_GAINS + kind].xyz;
         var v = 0.0;
         // If a part of the image is drawn, cameras keep their colours.
         if (i % num / 3u == step.camera && !has(LISTED)) {

@@ -105,7 +105,7 @@ mod tests {
     use tcgs_core::Layout;
 
     use super::*;
-    use crate::adam::Moments;
+    use crate::adam::{EPSILON, Moments};
     use crate::engine::cpu::center;
     use crate::engine::device::{LOSS_VALUES, StepUniform, adam_rates};
     use crate::engine::gpu::test_support::{
@@ -302,7 +302,7 @@ mod tests {
                 }
                 // No rate in one update: it only counts.
                 let rate = if turn == 2 { 0.0 } else { 1e-3 };
-                rates[6 + kind] = adam_rates(rate, moments[kind].step + 1);
+                rates[6 + kind] = adam_rates(rate, moments[kind].step + 1, EPSILON);
                 moments[kind].update(&mut values[9 * kind..][..9], &v, rate);
                 if flags != 0 {
                     center(values[9 * kind..][..9].as_chunks_mut::<3>().0);
@@ -342,8 +342,8 @@ mod tests {
                 let rate = 0.25;
                 let mut rates = [[0.0; 4]; 10];
                 let now = StepUniform { num_quantizers: num as u32, ..step(flags) };
-                rates[8] = adam_rates(rate, steps.step + 1);
-                rates[9] = adam_rates(rate, offsets.step + 1);
+                rates[8] = adam_rates(rate, steps.step + 1, EPSILON);
+                rates[9] = adam_rates(rate, offsets.step + 1, EPSILON);
                 expected.update(&gradient(0), &gradient(1), &mut steps, &mut offsets, rate);
                 on_gpu.run(&gpu, &now, rates);
             }
@@ -371,7 +371,7 @@ mod tests {
         let num = state.quantizers.len();
         let now =
             StepUniform { num_quantizers: num as u32, ..step(StepUniform::QUANTIZED | StepUniform::LEARNED_OFFSET) };
-        on_gpu.run(&gpu, &now, [adam_rates(0.1, 1); 10]);
+        on_gpu.run(&gpu, &now, [adam_rates(0.1, 1, EPSILON); 10]);
         assert_eq!(gpu.read::<f32>(&on_gpu.cameras, 18 * CAMERAS).unwrap(), state.cameras);
         assert_eq!(gpu.read::<f32>(&on_gpu.quantizers, 4 * num).unwrap(), state.quantizers.as_flattened());
         assert_eq!(gpu.read::<f32>(&on_gpu.quantizer_state, 6 * num).unwrap(), state.quantizer_state);

@@ -22,7 +22,7 @@ fn move_quantizer(q: u32, local: u32) {
     let initial = quantizer_state[q];
     let v = sum.xy * quantizer_state[num + q];
     // Adam's update does not depend on the gradient's scale, so relative values give relative rates.
-    var rates = step.adam[ADAM_STEPS].xy;
+    var rates = step.adam[ADAM_STEPS].xyz;
     if (rates.x != 0.0) {
         let at = 2u * num + q;
         let state = vec3(quantizers[q].x / initial, quantizer_state[at], quantizer_state[at + num]);
@@ -31,7 +31,7 @@ fn move_quantizer(q: u32, local: u32) {
         quantizer_state[at] = moved.y;
         quantizer_state[at + num] = moved.z;
     }
-    rates = step.adam[ADAM_QUANTIZER_OFFSETS].xy;
+    rates = step.adam[ADAM_QUANTIZER_OFFSETS].xyz;
     if (rates.x != 0.0 && has(LEARNED_OFFSET)) {
         let at = 4u * num + q;
         let state = vec3(quantizers[q].y / initial, quantizer_state[at], quantizer_state[at + num]);
