@@ -68,6 +68,8 @@ fn settings() -> TrainConfig {
     let mut config = TrainConfig::preset(Preset::Fast);
     // All cameras have the same exposure.
     config.rates.camera_centered = false;
+    // Small images have few pixels to learn colours from.
+    config.rates.color_damping = 0.0;
     config.schedule.first_iterations = 60;
     config.schedule.rest_iterations = 60;
     // The wall is not pruned, and masks are on.

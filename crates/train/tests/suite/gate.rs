@@ -54,6 +54,7 @@ fn settings() -> TrainConfig {
     config.schedule.first_iterations = 40;
     config.schedule.rest_iterations = 120;
     config.densify.prune_error = 0.0;
+    config.rates.color_damping = 0.0;
     config.quantize.enabled = false;
     config.densify.start = 10_000;
     config

@@ -28,6 +28,7 @@ fn config(first: usize, rest: usize) -> TrainConfig {
     config.mask.enabled = true;
     // The CPU computes removals for both engines, and their number depends on the last bits of the state.
     config.densify.prune_error = 0.0;
+    config.rates.color_damping = 0.0;
     // Tests of the gate switch it on.
     config.gate.enabled = false;
     (config.schedule.first_iterations, config.schedule.rest_iterations) = (first, rest);

@@ -103,6 +103,7 @@ fn exposures_are_learned_fast_if_they_differ() {
         let mut config = config();
         config.schedule.first_iterations = 400;
         config.rates.camera_centered = is_fast;
+        config.rates.color_damping = 0.0;
         let mut trainer = trainer(&config);
         trainer.fit(&views, &mut |_| ControlFlow::Continue(())).unwrap();
         let p = &trainer.state().unwrap().parameters;
