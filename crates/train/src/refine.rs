@@ -44,13 +44,13 @@ pub struct RefineConfig {
     /// Adam's ε, relative to the root mean second moment of the attribute. It keeps codes still whose gradients are
     /// mostly noise, since each move costs bits. Default 0.5.
     pub damping: f32,
-    /// Share of the Gaussians that an iteration leaves out at random if there are at most seven cameras. Default 0.2.
+    /// Share of the Gaussians that an iteration leaves out at random if there are at most seven cameras. Default 0.4.
     pub dropout: f32,
 }
 
 impl Default for RefineConfig {
     fn default() -> Self {
-        Self { rate: 0.2, decay: 0.002, damping: 0.5, dropout: 0.2 }
+        Self { rate: 0.2, decay: 0.002, damping: 0.5, dropout: 0.4 }
     }
 }
 
@@ -596,6 +596,15 @@ mod tests {
             assert!((0..3).all(|c| (found[c] - expected[c]).abs() < 0.005), "{t}: {found:?} for {expected:?}");
         }
         assert_eq!(refiner.into_scene(), scene);
+    }
+
+    #[test]
+    fn gaussians_are_left_out_with_few_cameras_alone() {
+        let scene = compact(6, 7);
+        let share = |num_cameras| {
+            Refiner::new(scene.clone(), &vec![[[0.0; 3]; 2]; num_cameras], RefineConfig::default()).dropout.share
+        };
+        assert_eq!([share(7), share(8)], [0.4, 0.0]);
     }
 
     #[test]

@@ -239,7 +239,7 @@ mod tests {
         assert!(s.starts_quantization(900));
         assert!((s.rates(Phase::First, 0).mask - 0.01 * 10.0 / 1.5).abs() < 1e-6);
         assert!((s.rates(Phase::Rest, 0).mean - 3.2e-4 * 20.0 / 3.0).abs() < 1e-8);
-        assert_eq!(s.dropout(Phase::First, 750, 7), Dropout { share: 0.1, draw: 750 });
+        assert_eq!(s.dropout(Phase::First, 750, 7), Dropout { share: 0.2, draw: 750 });
         for (phase, num_cameras) in [(Phase::First, 8), (Phase::Rest, 7), (Phase::Birth, 7)] {
             assert_eq!(s.dropout(phase, 100, num_cameras), Dropout::default());
             assert_eq!(s.color_epsilon(phase, num_cameras, 1000), EPSILON);

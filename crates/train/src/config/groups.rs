@@ -118,7 +118,7 @@ pub struct DensifyConfig {
     /// seven training cameras it is three times as large. 0: none are removed. Reference 0; default 1.
     pub prune_error: f32,
     /// Share of the Gaussians that an iteration of the first timestep leaves out at random if there are at most seven
-    /// training cameras. It rises from 0 to this. Reference 0; default 0.2.
+    /// training cameras. It rises from 0 to this. Reference 0; default 0.4.
     pub dropout: f32,
 }
 

@@ -221,7 +221,7 @@ impl TrainConfig {
                 config.mask.enabled = false;
                 config.mask.prune_end = 6000;
                 config.densify.prune_error = 1.0;
-                config.densify.dropout = 0.2;
+                config.densify.dropout = 0.4;
                 config.densify.prune_opacity_end = DensifyConfig::PRUNE_OPACITY;
                 // Antialiased splats have larger gradients.
                 config.densify.gradient_threshold = 3e-4;
