@@ -44,7 +44,8 @@ pub struct RefineConfig {
     /// Adam's ε, relative to the root mean second moment of the attribute. It keeps codes still whose gradients are
     /// mostly noise, since each move costs bits. Default 0.5.
     pub damping: f32,
-    /// Share of the Gaussians that an iteration leaves out at random if there are at most seven cameras. Default 0.4.
+    /// Share of the Gaussians that an iteration leaves out at random if there are at most seven cameras. It falls from
+    /// this to 0: at the end all Gaussians fit the images together. Default 0.4.
     pub dropout: f32,
 }
 
@@ -83,7 +84,7 @@ pub struct Refiner {
     cameras_differ: bool,
     /// By the number of updates less 1: what corrects the bias of both moments.
     corrections: Vec<[f32; 2]>,
-    /// The Gaussians that the next iteration leaves out.
+    /// Of the next iteration, with the share at the beginning.
     dropout: Dropout,
 }
 
@@ -137,7 +138,8 @@ impl Refiner {
     ) -> Result<f64, R::Error> {
         let light = &mut self.light[timestep];
         let [gain, offset] = self.cameras[camera].map(|values| values.map(|latent| latent.value));
-        let shown = Shown { timestep, light: light.map(|latent| latent.value), gain, offset, dropout: self.dropout };
+        let dropout = Dropout { share: self.dropout.share * (1.0 - progress), ..self.dropout };
+        let shown = Shown { timestep, light: light.map(|latent| latent.value), gain, offset, dropout };
         self.dropout.draw += 1;
         let Gradients { loss, v_light, grads } = gradients(rasterizer, &self.scene, view, &shown)?;
         let decay = cosine(self.config.decay, progress);
