@@ -84,7 +84,7 @@ pub struct Refiner {
     cameras_differ: bool,
     /// By the number of updates less 1: what corrects the bias of both moments.
     corrections: Vec<[f32; 2]>,
-    /// Of the next iteration, with the share at the beginning.
+    /// Its share is that of the first iteration, its draw that of the next one.
     dropout: Dropout,
 }
 
