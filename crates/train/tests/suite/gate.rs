@@ -53,7 +53,9 @@ fn settings() -> TrainConfig {
     let mut config = TrainConfig::preset(Preset::Fast);
     config.schedule.first_iterations = 40;
     config.schedule.rest_iterations = 120;
+    // The first timestep leaves the scene as it was given.
     config.densify.prune_error = 0.0;
+    config.densify.dropout = 0.0;
     config.rates.color_damping = 0.0;
     config.quantize.enabled = false;
     config.densify.start = 10_000;
