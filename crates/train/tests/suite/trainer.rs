@@ -106,7 +106,9 @@ fn exposures_are_learned_fast_if_they_differ() {
         let mut config = config();
         config.schedule.first_iterations = 400;
         config.rates.camera_centered = is_fast;
-        config.densify.dropout = 0.0;
+        // Few iterations on small images: what few cameras change would leave more to learn.
+        config.densify.prune_error /= 3.0;
+        config.densify.dropout = 0.2;
         config.rates.color_damping = 0.0;
         let mut trainer = trainer(&config);
         trainer.fit(&views, &mut |_| ControlFlow::Continue(())).unwrap();
@@ -116,6 +118,7 @@ fn exposures_are_learned_fast_if_they_differ() {
         grey(0) / others
     };
     let (fast, reference) = (learned(true), learned(false));
+    eprintln!("XX {fast} {reference}");
     assert!((fast - 1.25).abs() < 0.02 && reference < 1.22, "{fast}, {reference}");
 }
 
