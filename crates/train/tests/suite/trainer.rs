@@ -118,7 +118,6 @@ fn exposures_are_learned_fast_if_they_differ() {
         grey(0) / others
     };
     let (fast, reference) = (learned(true), learned(false));
-    eprintln!("XX {fast} {reference}");
     assert!((fast - 1.25).abs() < 0.02 && reference < 1.22, "{fast}, {reference}");
 }
 
