@@ -19,7 +19,7 @@ use tcgs_render::{Rasterizer, RenderSettings};
 
 use crate::adam::BETA1;
 use crate::dropout::{Dropout, FEW_CAMERAS};
-use crate::engine::cpu::{ImageLoss, image_loss};
+use crate::engine::cpu::{ImageLoss, drop_out, image_loss};
 use crate::parameters::{DIFFERENT, spread_of_cameras};
 use crate::schedule::cosine;
 
@@ -307,13 +307,10 @@ fn gradients<R: Rasterizer>(
             }
         });
     }
-    let opacities = drawn.opacities.clone();
-    let leave_out = |values: &mut [f32]| {
-        if dropout.share > 0.0 {
-            values.par_iter_mut().enumerate().for_each(|(i, value)| *value *= dropout.factor(i as u32));
-        }
-    };
-    leave_out(&mut drawn.opacities);
+    let kept_opacities = (dropout.share > 0.0).then(|| drawn.opacities.clone());
+    if kept_opacities.is_some() {
+        drop_out(&mut drawn.opacities, dropout);
+    }
     // The light multiplies the whole picture, and is not to change the background.
     drawn.background.iter_mut().zip(light).for_each(|(background, light)| *background /= light.exp());
     let settings = RenderSettings { statistic_channels: 0, ..RenderSettings::default() };
@@ -326,8 +323,10 @@ fn gradients<R: Rasterizer>(
         *v_light -= drawn.background[channel] * of_pixels.map(|(v, passed)| v * passed).sum::<f32>();
     }
     let mut grads = rasterizer.backward(&drawn, camera, &settings, &saved, &loss.v_image)?;
-    leave_out(&mut grads.activated.v_opacities);
-    drawn.opacities = opacities;
+    if let Some(opacities) = kept_opacities {
+        drop_out(&mut grads.activated.v_opacities, dropout);
+        drawn.opacities = opacities;
+    }
     let mut v_gaussians = activate_bwd(&gaussians, &drawn, &grads.activated);
     if has_harmonics {
         seen_colors_bwd(&gaussians, camera, &mut v_gaussians);

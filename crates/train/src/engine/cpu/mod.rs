@@ -408,7 +408,7 @@ pub(crate) fn center(rows: &mut [[f32; 3]]) {
 }
 
 /// Multiplies each Gaussian's opacity, or the gradient to it, by its factor.
-fn drop_out(opacities: &mut [f32], dropout: Dropout) {
+pub(crate) fn drop_out(opacities: &mut [f32], dropout: Dropout) {
     opacities.par_iter_mut().enumerate().with_min_len(CHUNK).for_each(|(i, x)| *x *= dropout.factor(i as u32));
 }
 
