@@ -236,6 +236,7 @@ impl StepUniform {
 ///
 /// - `rate`: learning rate; 0 leaves the group as it is
 /// - `count`: updates including this one, from 1
+/// - `epsilon`: Adam's ε
 pub fn adam_rates(rate: f32, count: u64, epsilon: f32) -> [f32; 4] {
     let [step_size, correction] = adam_factors(rate, count);
     [step_size, correction, epsilon, 0.0]
