@@ -2,10 +2,6 @@
 //! a certain other one (Park et al. 2025, DropGaussian). Where few cameras see a place, this keeps Gaussians from
 //! fitting single images.
 
-/// Most training cameras of a scene that has few. With eight, dropout in the first timestep gained nothing; with 16 it
-/// took 1.4 dB in a refinement. Numbers between were not measured.
-pub(crate) const FEW_CAMERAS: usize = 7;
-
 /// The Gaussians that one iteration leaves out.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Dropout {

@@ -18,7 +18,7 @@ use tcgs_core::{Attribute, GaussianGrads, View, activate, activate_bwd, seen_col
 use tcgs_render::{Rasterizer, RenderSettings};
 
 use crate::adam::BETA1;
-use crate::dropout::{Dropout, FEW_CAMERAS};
+use crate::dropout::Dropout;
 use crate::engine::cpu::{ImageLoss, drop_out, image_loss};
 use crate::parameters::{DIFFERENT, spread_of_cameras};
 use crate::schedule::cosine;
@@ -44,8 +44,9 @@ pub struct RefineConfig {
     /// Adam's ε, relative to the root mean second moment of the attribute. It keeps codes still whose gradients are
     /// mostly noise, since each move costs bits. Default 0.5.
     pub damping: f32,
-    /// Share of the Gaussians that an iteration leaves out at random if there are at most seven cameras. It falls from
-    /// this to 0: at the end all Gaussians fit the images together. Default 0.4.
+    /// Share of the Gaussians that an iteration leaves out at random, times the sparsity of the views
+    /// ([`view_sparsity`](crate::view_sparsity)). It falls from this to 0: at the end all Gaussians fit the images
+    /// together. Default 0.4.
     pub dropout: f32,
 }
 
@@ -92,7 +93,8 @@ impl Refiner {
     /// A refinement that starts from the scene as it is.
     ///
     /// - `cameras`: `[cameras]` gain and offset of each, as for [`image_loss`]; they are trained if the cameras differ
-    pub fn new(mut scene: CompactScene, cameras: &[[[f32; 3]; 2]], config: RefineConfig) -> Self {
+    /// - `sparsity`: of the views ([`view_sparsity`](crate::view_sparsity))
+    pub fn new(mut scene: CompactScene, cameras: &[[[f32; 3]; 2]], sparsity: f32, config: RefineConfig) -> Self {
         let latent = |value: f32| Latent { value, ..Latent::default() };
         let of_code = |&code: &i16| latent(f32::from(code));
         let of_tracks = |tracks: &mut Tracks<i16>| tracks.parts_mut().2.iter().map(of_code).collect();
@@ -103,8 +105,7 @@ impl Refiner {
         let cameras_differ = spread_of_cameras(cameras) > DIFFERENT;
         let cameras: Vec<_> = cameras.iter().map(|camera| camera.map(|values| values.map(latent))).collect();
         let mean_second = vec![0.0; latents.len()];
-        let share = if cameras.len() <= FEW_CAMERAS { config.dropout } else { 0.0 };
-        let dropout = Dropout { share, draw: 0 };
+        let dropout = Dropout { share: sparsity * config.dropout, draw: 0 };
         Self { scene, config, latents, mean_second, light, cameras, cameras_differ, corrections, dropout }
     }
 
@@ -459,7 +460,7 @@ mod tests {
             found.loss.image
         };
         let loss = |scene: &CompactScene| lit(scene, [0.0; 3]);
-        let mut refiner = Refiner::new(scene.clone(), &[correction], config);
+        let mut refiner = Refiner::new(scene.clone(), &[correction], 1.0, config);
         let Ok(_) = refiner.step(&CpuRasterizer, timestep, 0, &view, 0.0);
         let (mut num_shared, mut num_compared) = (0, 0);
         for attribute in scene.layout.attributes() {
@@ -550,7 +551,7 @@ mod tests {
         let refined = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| {
-                let mut refiner = Refiner::new(off.clone(), &[[[0.0; 3]; 2]; 3], RefineConfig::default());
+                let mut refiner = Refiner::new(off.clone(), &[[[0.0; 3]; 2]; 3], 1.0, RefineConfig::default());
                 let order = refine_order(1, NUM_TIMESTEPS, 3, None).take(400).enumerate();
                 for (i, (t, views)) in order {
                     for of in views {
@@ -585,8 +586,8 @@ mod tests {
             View { camera: camera(), image: output.image, segmentation: None, frame: t, camera_id: 0 }
         };
         let views: Vec<View> = (0..NUM_TIMESTEPS).map(view).collect();
-        let still = RefineConfig { rate: 0.0, dropout: 0.0, ..RefineConfig::default() };
-        let mut refiner = Refiner::new(scene.clone(), &[[[0.0; 3]; 2]], still);
+        let still = RefineConfig { rate: 0.0, ..RefineConfig::default() };
+        let mut refiner = Refiner::new(scene.clone(), &[[[0.0; 3]; 2]], 0.0, still);
         let count = 60 * NUM_TIMESTEPS;
         for (i, t) in (0..NUM_TIMESTEPS).cycle().take(count).enumerate() {
             let Ok(_) = refiner.step(&CpuRasterizer, t, 0, &views[t], i as f32 / count as f32);
@@ -600,12 +601,11 @@ mod tests {
     }
 
     #[test]
-    fn gaussians_are_left_out_with_few_cameras_alone() {
+    fn gaussians_are_left_out_as_far_as_views_are_sparse() {
         let scene = compact(6, 7);
-        let share = |num_cameras| {
-            Refiner::new(scene.clone(), &vec![[[0.0; 3]; 2]; num_cameras], RefineConfig::default()).dropout.share
-        };
-        assert_eq!([share(7), share(8)], [0.4, 0.0]);
+        let share =
+            |sparsity| Refiner::new(scene.clone(), &[[[0.0; 3]; 2]], sparsity, RefineConfig::default()).dropout.share;
+        assert_eq!([0.0, 0.5, 1.0].map(share), [0.0, 0.2, 0.4]);
     }
 
     #[test]
@@ -621,7 +621,8 @@ mod tests {
         let views = brightness.map(view);
         let still = RefineConfig { rate: 0.0, ..RefineConfig::default() };
         let learned = |begin: f32| {
-            let mut refiner = Refiner::new(scene.clone(), &[begin, -begin].map(|gain| [[gain; 3], [0.0; 3]]), still);
+            let cameras = [begin, -begin].map(|gain| [[gain; 3], [0.0; 3]]);
+            let mut refiner = Refiner::new(scene.clone(), &cameras, 0.0, still);
             for i in 0..600 {
                 let Ok(_) = refiner.step(&CpuRasterizer, 0, i % 2, &views[i % 2], i as f32 / 600.0);
             }

@@ -5,7 +5,7 @@ use tcgs_core::{Column, RateGroup};
 
 use crate::adam::EPSILON;
 use crate::config::{REFERENCE_ITERATIONS, TrainConfig};
-use crate::dropout::{Dropout, FEW_CAMERAS};
+use crate::dropout::Dropout;
 
 /// Learning rate of the young for columns that are constant over time, relative to that of the newborn. These columns
 /// also change how the timesteps since their birth look.
@@ -175,27 +175,25 @@ impl Schedule {
         }
     }
 
-    /// The dropout of an iteration. In the first timestep of few cameras the share rises linearly; else it is 0.
+    /// The dropout of an iteration. In the first timestep of sparse views the share rises linearly; else it is 0.
     ///
-    /// - `num_cameras`: training cameras
-    pub fn dropout(&self, phase: Phase, iteration: usize, num_cameras: usize) -> Dropout {
-        if phase != Phase::First || num_cameras > FEW_CAMERAS {
+    /// - `sparsity`: of the views ([`view_sparsity`](crate::view_sparsity))
+    pub fn dropout(&self, phase: Phase, iteration: usize, sparsity: f32) -> Dropout {
+        if phase != Phase::First || sparsity == 0.0 {
             return Dropout::default();
         }
         let progress = iteration as f32 / self.iterations(phase) as f32;
-        Dropout { share: self.config.densify.dropout * progress, draw: iteration as u32 }
+        Dropout { share: sparsity * self.config.densify.dropout * progress, draw: iteration as u32 }
     }
 
-    /// Adam's ε of the colours: [`EPSILON`], but larger in the first timestep of few cameras. A gradient of any size
+    /// Adam's ε of the colours: [`EPSILON`], but larger in the first timestep of sparse views. A gradient of any size
     /// makes whole steps of Adam, and a Gaussian that hardly shows would take any colour.
     ///
-    /// - `num_cameras`: training cameras
+    /// - `sparsity`: of the views ([`view_sparsity`](crate::view_sparsity))
     /// - `num_pixels`: of an image, over whose three channels the loss is a mean
-    pub(crate) fn color_epsilon(&self, phase: Phase, num_cameras: usize, num_pixels: usize) -> f32 {
-        if phase != Phase::First || num_cameras > FEW_CAMERAS {
-            return EPSILON;
-        }
-        EPSILON.max(self.config.rates.color_damping / (3 * num_pixels) as f32)
+    pub(crate) fn color_epsilon(&self, phase: Phase, sparsity: f32, num_pixels: usize) -> f32 {
+        let damping = if phase == Phase::First { sparsity * self.config.rates.color_damping } else { 0.0 };
+        EPSILON.max(damping / (3 * num_pixels) as f32)
     }
 
     /// Whether quantisation starts at this iteration.
@@ -239,12 +237,13 @@ mod tests {
         assert!(s.starts_quantization(900));
         assert!((s.rates(Phase::First, 0).mask - 0.01 * 10.0 / 1.5).abs() < 1e-6);
         assert!((s.rates(Phase::Rest, 0).mean - 3.2e-4 * 20.0 / 3.0).abs() < 1e-8);
-        assert_eq!(s.dropout(Phase::First, 750, 7), Dropout { share: 0.2, draw: 750 });
-        for (phase, num_cameras) in [(Phase::First, 8), (Phase::Rest, 7), (Phase::Birth, 7)] {
-            assert_eq!(s.dropout(phase, 100, num_cameras), Dropout::default());
-            assert_eq!(s.color_epsilon(phase, num_cameras, 1000), EPSILON);
+        assert_eq!(s.dropout(Phase::First, 750, 1.0), Dropout { share: 0.2, draw: 750 });
+        assert_eq!(s.dropout(Phase::First, 750, 0.5), Dropout { share: 0.1, draw: 750 });
+        for (phase, sparsity) in [(Phase::First, 0.0), (Phase::Rest, 1.0), (Phase::Birth, 1.0)] {
+            assert_eq!(s.dropout(phase, 100, sparsity), Dropout::default());
+            assert_eq!(s.color_epsilon(phase, sparsity, 1000), EPSILON);
         }
-        assert_eq!(s.color_epsilon(Phase::First, 7, 1000), 0.3 / 3000.0);
+        assert_eq!(s.color_epsilon(Phase::First, 1.0, 1000), 0.3 / 3000.0);
         assert!(s.rates(Phase::Rest, 299).mean < 0.05 * s.rates(Phase::Rest, 0).mean);
     }
 }

@@ -8,7 +8,6 @@ use super::densify::{DensifyStep, densify, remove_others, reset_opacities};
 use super::free_space::FreeSpace;
 use super::removal::{Needed, Removal, TimestepViews, needed};
 use crate::config::TrainConfig;
-use crate::dropout::FEW_CAMERAS;
 use crate::mask::{mask, masked_out};
 use crate::schedule::{Phase, Schedule};
 use crate::solver::Asked;
@@ -26,9 +25,9 @@ const NUM_PRUNINGS: usize = 3;
 /// Fewest iterations of a first timestep that makes up for the error of such a removal. Not scaled.
 const RECOVERY: f32 = 1000.0;
 
-/// Factor of the error that a removal may add if there are few training cameras, whose images are fitted more closely
-/// than the scene. A fifth of the Gaussians is not missed.
-const FEW_CAMERAS_SHARE: f32 = 3.0;
+/// Factor of the error that a removal may add if training views are sparse: their images are fitted more closely than
+/// the scene. A fifth of the Gaussians is not missed.
+const SPARSE_SHARE: f32 = 3.0;
 
 /// Largest share of the Gaussians that one removal by error takes. The others need iterations to take over.
 const MOST_REMOVED: f32 = 0.4;
@@ -80,7 +79,8 @@ impl FirstTimestep {
     /// Densifies, resets and removes after an iteration.
     ///
     /// - `seed`: of the random choices
-    pub fn reshape(&self, state: &mut State, iteration: usize, seed: u64, views: &[View]) {
+    /// - `sparsity`: of the views
+    pub fn reshape(&self, state: &mut State, iteration: usize, seed: u64, views: &[View], sparsity: f32) {
         if self.densifies(iteration) {
             let step = DensifyStep {
                 config: &self.config.densify,
@@ -111,7 +111,7 @@ impl FirstTimestep {
                 views,
                 corrections: &state.parameters.corrections(),
             };
-            let removal = Removal { share: self.prune_error(views.len()), most: MOST_REMOVED, costs: None, seed };
+            let removal = Removal { share: self.prune_error(sparsity), most: MOST_REMOVED, costs: None, seed };
             let Needed { rows, around } = needed(&[timestep], &removal);
             let num_trained = state.num_trained();
             let fixed = num_trained..state.parameters.num_gaussians();
@@ -190,11 +190,11 @@ impl FirstTimestep {
     }
 
     /// Share by which each removal of Gaussians that the images hardly need may increase the squared error. A schedule
-    /// too short to make up for the error has a smaller share, one of few cameras a larger share.
-    fn prune_error(&self, num_cameras: usize) -> f32 {
+    /// too short to make up for the error has a smaller share, one of sparse views a larger share.
+    fn prune_error(&self, sparsity: f32) -> f32 {
         let iterations = self.schedule.iterations(Phase::First) as f32;
-        let few = if num_cameras <= FEW_CAMERAS { FEW_CAMERAS_SHARE } else { 1.0 };
-        self.config.densify.prune_error * (iterations / RECOVERY).min(1.0) * few
+        let sparse = 1.0 + sparsity * (SPARSE_SHARE - 1.0);
+        self.config.densify.prune_error * (iterations / RECOVERY).min(1.0) * sparse
     }
 
     /// Whether Gaussians that the training images hardly need are removed after this iteration.
@@ -253,7 +253,7 @@ mod tests {
         assert!(s.is_last_densification(700) && !s.is_last_densification(600));
         assert_eq!((0..1500).filter(|&i| s.prunes_unneeded(i)).collect::<Vec<_>>(), [788, 825, 863]);
         let short = first_timestep(60, Preset::Fast);
-        assert_eq!([s.prune_error(8), s.prune_error(7), short.prune_error(8)], [1.0, 3.0, 0.06]);
+        assert_eq!([s.prune_error(0.0), s.prune_error(1.0), short.prune_error(0.0)], [1.0, 3.0, 0.06]);
         assert!((0..1500).all(|i| !s.resets_opacities(i) && !s.removes_large(i) && !s.prunes_masked(i)));
         let (long, short) = (first_timestep(1500, Preset::Paper), first_timestep(250, Preset::Paper));
         assert!(long.resets_opacities(450) && long.removes_large(450) && long.reshapes(450));
@@ -297,14 +297,14 @@ mod tests {
         let views = two_views();
         let mut state = state_of(gaussians);
         let rules = first_timestep(1500, Preset::Default);
-        rules.reshape(&mut state, 789, 0, &views);
+        rules.reshape(&mut state, 789, 0, &views, 0.0);
         assert_eq!(state.parameters.gaussians.logit_opacities(), [9.0, 2.0, 0.0, 0.0], "no event");
-        rules.reshape(&mut state, 788, 0, &views);
+        rules.reshape(&mut state, 788, 0, &views, 0.0);
         assert_eq!(state.parameters.gaussians.logit_opacities(), [9.0, 2.0, OPAQUE, OPAQUE]);
         let log_scales = [[-0.7; 3], [-0.7; 3], [-2.5 + GROWTH; 3], [-1.0; 3]];
         assert_eq!(state.parameters.gaussians.log_scales(), log_scales);
         state.parameters.gaussians.log_scales_mut()[3] = [-1.0, 9.0, 2.0];
-        rules.reshape(&mut state, 900, 0, &views);
+        rules.reshape(&mut state, 900, 0, &views, 0.0);
         let distance = (48.0_f32 * 48.0 + 16.0).sqrt();
         assert_eq!(state.parameters.gaussians.log_scales()[3], [-1.0, (largest_share(4) * distance).ln(), 2.0]);
     }
@@ -324,14 +324,14 @@ mod tests {
         let mut state = state_of(gaussians);
         let mut rules = first_timestep(1500, Preset::Default);
         rules.free_space = FreeSpace::around(&cameras, &[[0.0, 0.0, 2.0]]);
-        rules.reshape(&mut state, 950, 0, &views);
+        rules.reshape(&mut state, 950, 0, &views, 0.0);
         assert_eq!(state.parameters.num_gaussians(), 4, "no event");
-        rules.reshape(&mut state, 1000, 0, &views);
+        rules.reshape(&mut state, 1000, 0, &views, 0.0);
         let means = [[-1.0, 0.0, 0.0], [0.0, 0.0, 4.0], near];
         assert_eq!(state.parameters.gaussians.means(), means, "fixed ones stay");
         rules.free_space = FreeSpace::around(&cameras, &[[0.0, 0.0, 40.0]]);
         state.num_fixed = 0;
-        rules.reshape(&mut state, 1100, 0, &views);
+        rules.reshape(&mut state, 1100, 0, &views, 0.0);
         assert_eq!(state.parameters.num_gaussians(), 3, "never all of them");
     }
 }

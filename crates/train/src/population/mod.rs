@@ -133,7 +133,8 @@ impl Population {
         views: &[View],
     ) -> Result<(), TrainError> {
         if self.first.reshapes(iteration) {
-            solver.reshape(|state| self.first.reshape(state, iteration, seed, views))?;
+            let sparsity = solver.sparsity;
+            solver.reshape(|state| self.first.reshape(state, iteration, seed, views, sparsity))?;
         }
         Ok(())
     }

@@ -59,6 +59,8 @@ pub(crate) struct Solver {
     pub engine: Box<dyn Engine>,
     /// The images of the timestep that is trained; else none.
     pub targets: Arc<[Target]>,
+    /// Of the first timestep's views ([`view_sparsity`](crate::view_sparsity)).
+    pub sparsity: f32,
     /// Timesteps finished.
     pub timestep: usize,
     /// The trained share of the scene and of its views.
@@ -124,6 +126,7 @@ impl Solver {
             schedule,
             engine,
             targets: Arc::default(),
+            sparsity: 0.0,
             timestep,
             trained: Trained::ALL,
             num_gaussians,
@@ -201,7 +204,7 @@ impl Solver {
         }
         let image = &self.targets[camera].image;
         let num_pixels = image.width * image.height;
-        rates.color_epsilon = self.schedule.color_epsilon(iterations.phase, iterations.cameras.len(), num_pixels);
+        rates.color_epsilon = self.schedule.color_epsilon(iterations.phase, self.sparsity, num_pixels);
         if rates.centers_cameras && self.spread_of_cameras > DIFFERENT.max(NOISE * rates.camera) {
             rates.camera *= DIFFERENT_CAMERAS;
         }
@@ -211,7 +214,7 @@ impl Solver {
             weights: &iterations.weights,
             mask: &self.config.mask,
             counts_gradients: asked.counts_gradients,
-            dropout: self.schedule.dropout(iterations.phase, iteration, iterations.cameras.len()),
+            dropout: self.schedule.dropout(iterations.phase, iteration, self.sparsity),
             moves_gaussians: asked.moves_gaussians,
         };
         self.engine.step(&step)?;

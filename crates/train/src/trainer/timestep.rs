@@ -14,6 +14,7 @@ use crate::gate::{Activity, Pace, Trained};
 use crate::motion::predict;
 use crate::schedule::Phase;
 use crate::solver::{Iterations, Observer, Part, Progress};
+use crate::sparsity::view_sparsity;
 
 impl Trainer {
     /// Trains the next timestep on its views.
@@ -50,6 +51,10 @@ impl Trainer {
         self.camera_ids = views.iter().map(|v| v.camera_id).collect();
         self.solver.targets = Target::of_all(views);
         let phase = self.phase();
+        if phase == Phase::First {
+            let cameras: Vec<Camera> = views.iter().map(|view| view.camera.clone()).collect();
+            self.solver.sparsity = view_sparsity(self.solver.engine.state()?.parameters.gaussians.means(), &cameras);
+        }
         let mut activity = None;
         if phase == Phase::Rest {
             self.solver.engine.state_mut()?.begin_past();

@@ -410,7 +410,7 @@ fn refinement_on_the_gpu_follows_the_cpu() {
         let last = refiner.into_scene().at(2);
         (losses, Attribute::BASE.iter().map(|&attribute| last.values(attribute).to_vec()).collect())
     }
-    let refiner = Refiner::new(compact, &[[[0.1; 3], [0.0; 3]]; 2], RefineConfig::default());
+    let refiner = Refiner::new(compact, &[[[0.1; 3], [0.0; 3]]; 2], 1.0, RefineConfig::default());
     let (expected_losses, expected) = refined(&CpuRasterizer, refiner.clone(), &views);
     let (losses, found) = refined(&GpuRasterizer::new(&gpu), refiner, &views);
     for (found, expected) in losses.iter().zip(&expected_losses) {
