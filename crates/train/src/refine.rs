@@ -44,9 +44,9 @@ pub struct RefineConfig {
     /// Adam's ε, relative to the root mean second moment of the attribute. It keeps codes still whose gradients are
     /// mostly noise, since each move costs bits. Default 0.5.
     pub damping: f32,
-    /// Share of the Gaussians that an iteration leaves out at random, times the sparsity of the views
-    /// ([`view_sparsity`](crate::view_sparsity)). It falls from this to 0: at the end all Gaussians fit the images
-    /// together. Default 0.4.
+    /// Share of the Gaussians that an iteration leaves out at random. It falls from this to 0: at the end all Gaussians
+    /// fit the images together. It is multiplied by the sparsity of the views
+    /// ([`view_sparsity`](crate::view_sparsity)). Default 0.4.
     pub dropout: f32,
 }
 

@@ -272,7 +272,7 @@ struct Images<'a> {
     num_views: usize,
     /// `[cameras]` gain and offset of each.
     corrections: Vec<[[f32; 3]; 2]>,
-    /// Of the views of the first timestep ([`view_sparsity`]).
+    /// Sparsity of the views of the first timestep ([`view_sparsity`]).
     sparsity: f32,
 }
 

@@ -49,9 +49,9 @@ pub struct RateConfig {
     pub mean: f32,
     /// Colours. Default 2.5e-3 (reference).
     pub color: f32,
-    /// Adam's ε of all colours in the first timestep, as a share of the gradient of one pixel, times the sparsity of the
-    /// views ([`view_sparsity`](crate::view_sparsity)). Gaussians that hardly show then keep the colours that they began
-    /// with. Reference 0; default 0.3.
+    /// Adam's ε of all colours in the first timestep, as a share of the gradient of one pixel. It is multiplied by the
+    /// sparsity of the views ([`view_sparsity`](crate::view_sparsity)). Gaussians that hardly show keep their first
+    /// colours then. Reference 0; default 0.3.
     pub color_damping: f32,
     /// Coefficients of spherical harmonics, first timestep only. Default 1.25e-4, a twentieth of `color` (Kerbl et al.
     /// 2023).
@@ -114,12 +114,12 @@ pub struct DensifyConfig {
     pub prune_large: usize,
     /// Removes Gaussians that the training images hardly need, three times between the last event and the start of
     /// quantisation. Each time the mean squared error of these images may grow by this share; later iterations take
-    /// most of it back. In a schedule of fewer than 1000 iterations the share is smaller in proportion, with
-    /// sparse views ([`view_sparsity`](crate::view_sparsity)) up to three times as large. 0: none are removed. Reference
-    /// 0; default 1.
+    /// most of it back. In a schedule of fewer than 1000 iterations the share is smaller in proportion. With
+    /// sparse views ([`view_sparsity`](crate::view_sparsity)) it is up to three times as large. 0: none are removed.
+    /// Reference 0; default 1.
     pub prune_error: f32,
-    /// Share of the Gaussians that an iteration of the first timestep leaves out at random, times the sparsity of the
-    /// views ([`view_sparsity`](crate::view_sparsity)). It rises from 0 to this. Reference 0; default 0.4.
+    /// Share of the Gaussians that an iteration of the first timestep leaves out at random. It rises from 0 to this, and
+    /// is multiplied by the sparsity of the views ([`view_sparsity`](crate::view_sparsity)). Reference 0; default 0.4.
     pub dropout: f32,
 }
 

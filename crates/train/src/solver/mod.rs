@@ -59,7 +59,7 @@ pub(crate) struct Solver {
     pub engine: Box<dyn Engine>,
     /// The images of the timestep that is trained; else none.
     pub targets: Arc<[Target]>,
-    /// Of the first timestep's views ([`view_sparsity`](crate::view_sparsity)).
+    /// Sparsity of the first timestep's views ([`view_sparsity`](crate::view_sparsity)).
     pub sparsity: f32,
     /// Timesteps finished.
     pub timestep: usize,
