@@ -131,7 +131,7 @@ pub fn refine(
     let Chosen { quality, pruned, settings } = images.choose(pruned, settings, allowance, observer)?;
     let (mut iterations, mut losses) = (0, [0.0; 2]);
     let mut change = |compact: CompactScene| {
-        let refiner = Refiner::new(compact, &images.corrections, images.sparsity, options.config);
+        let refiner = images.refiner(compact, options.config)?;
         let refined = match backend {
             Backend::Cpu => images.refine(&CpuRasterizer, refiner, num_iterations, observer),
             #[cfg(feature = "gpu")]
@@ -272,8 +272,6 @@ struct Images<'a> {
     num_views: usize,
     /// `[cameras]` gain and offset of each.
     corrections: Vec<[[f32; 3]; 2]>,
-    /// Sparsity of the views of the first timestep ([`view_sparsity`]).
-    sparsity: f32,
 }
 
 fn mean(losses: &[f64]) -> f64 {
@@ -286,17 +284,22 @@ impl<'a> Images<'a> {
         let num_timesteps = scene.num_timesteps();
         // The last frame is looked for before the first is decoded.
         capture.cameras(Split::Train, scene.first_frame + num_timesteps - 1, scene.downscale)?;
-        let cameras = capture.cameras(Split::Train, scene.first_frame, scene.downscale)?;
-        let num_views = cameras.len();
+        let num_views = capture.cameras(Split::Train, scene.first_frame, scene.downscale)?.len();
         if num_views == 0 {
             return Err(PipelineError::NoCameras { path: options.capture.clone(), split: Split::Train });
         }
         let parameters = scene.first_checkpoint().map(|first| &first.parameters);
         let learned = parameters.filter(|p| p.camera_gains.len() == num_views);
         let corrections = learned.map_or_else(|| vec![[[0.0; 3]; 2]; num_views], Parameters::corrections);
+        Ok(Self { capture, scene, num_views, corrections })
+    }
+
+    /// A refinement on these images.
+    fn refiner(&self, compact: CompactScene, config: RefineConfig) -> Result<Refiner, PipelineError> {
+        let cameras = self.capture.cameras(Split::Train, self.scene.first_frame, self.scene.downscale)?;
         let cameras: Vec<_> = cameras.into_iter().map(|(_, camera)| camera).collect();
-        let sparsity = view_sparsity(scene.at(0)?.means(), &cameras);
-        Ok(Self { capture, scene, num_views, corrections, sparsity })
+        let sparsity = view_sparsity(self.scene.at(0)?.means(), &cameras);
+        Ok(Refiner::new(compact, &self.corrections, sparsity, config))
     }
 
     /// Quality and Gaussians, as an allowance has it.
@@ -364,7 +367,7 @@ impl<'a> Images<'a> {
         let Some((compact, _)) = pruned.symbols(settings)? else { return Ok(1) };
         let begin = Instant::now();
         let enough = budget.mul_f64(TIMED_SHARE);
-        let mut timed = Refiner::new(compact, &self.corrections, self.sparsity, options.config);
+        let mut timed = self.refiner(compact, options.config)?;
         let mut go_on = |_| Ok(begin.elapsed() < enough);
         let done = match backend {
             Backend::Cpu => self.iterate(&CpuRasterizer, &mut timed, usize::MAX, &mut go_on),
