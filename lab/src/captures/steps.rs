@@ -9,6 +9,7 @@ use std::time::Instant;
 use anyhow::Context;
 use serde_json::{Value, json};
 use tcgs_capture::{Capture, Split};
+use tcgs_core::natural_key;
 use tcgs_interchange::{Existing, write_whole};
 use tcgs_pipeline::{OpenScene, OpenSettings};
 
@@ -107,7 +108,7 @@ impl Place {
         let used: Vec<String> = match (&entry.views, entry.r#use) {
             (Some(views), _) => {
                 let mut sorted = [all.clone(), capture.camera_names(Split::Test, 0)?].concat();
-                sorted.sort();
+                sorted.sort_by_cached_key(|name| natural_key(name));
                 let named = |&view: &usize| sorted.get(view).cloned();
                 views.iter().map(named).collect::<Option<_>>().context("views: the capture has fewer cameras")?
             }
