@@ -217,7 +217,13 @@ fn compare(
         .map(|(station, image)| {
             let found = differences(image, &station.background);
             let differs: Vec<bool> = found.iter().map(|&difference| difference > threshold).collect();
-            let mask = outline::majority(station.pinhole.width, &differs);
+            let mut mask = outline::majority(station.pinhole.width, &differs);
+            // Where the background is never seen, nothing differs from it. A silhouette has no holes there.
+            let known = &station.background.known;
+            if known.contains(&false) {
+                let filled = outline::filled(station.pinhole.width, &mask);
+                mask.iter_mut().zip(filled).zip(known).for_each(|((mask, filled), known)| *mask |= filled && !known);
+            }
             (found, mask)
         })
         .unzip();

@@ -9,7 +9,9 @@ const REACH_PX: usize = 1;
 /// Added to the belief in foreground inside the hull, since the hull supports it.
 const HULL_BELIEF: f32 = 0.1;
 /// Belief in foreground inside the hull where the background is never seen, in `[-1, 1]`.
-const UNKNOWN: f32 = 0.3;
+const UNKNOWN: f32 = 0.15;
+/// Half of the width of gaps that [`filled`] closes, as a share of the image's width.
+const GAP: f32 = 0.03;
 /// Radius of the guided filter, pixels.
 const RADIUS: usize = 4;
 /// Regularisation of the guided filter: beliefs are not averaged across edges of more than about the root of this.
@@ -78,6 +80,28 @@ fn guided(width: usize, guide: &[f32], values: &[f32]) -> Vec<f32> {
 /// Majority filter over 3x3 pixels.
 pub(super) fn majority(width: usize, mask: &[bool]) -> Vec<bool> {
     Sums::of_mask(width, mask).means(1).into_iter().map(|share| share > 0.5).collect()
+}
+
+/// A mask without narrow gaps and without holes: closed by 3 % of the width, then filled.
+pub(super) fn filled(width: usize, mask: &[bool]) -> Vec<bool> {
+    let radius = (GAP * width as f32).round() as usize;
+    let closed = grown(width, mask, radius);
+    let height = mask.len() / width;
+    // What is connected to the image's border is outside.
+    let mut outside = vec![false; mask.len()];
+    let is_border = |i: usize| i % width == 0 || i % width == width - 1 || i < width || i >= width * (height - 1);
+    let mut next: Vec<usize> = (0..mask.len()).filter(|&i| is_border(i)).collect();
+    while let Some(i) = next.pop() {
+        if closed[i] || outside[i] {
+            continue;
+        }
+        outside[i] = true;
+        let (x, y) = (i % width, i / width);
+        let around = [(x > 0, i.wrapping_sub(1)), (x + 1 < width, i + 1)];
+        let across = [(y > 0, i.wrapping_sub(width)), (y + 1 < height, i + width)];
+        next.extend(around.into_iter().chain(across).filter(|(exists, _)| *exists).map(|(_, neighbor)| neighbor));
+    }
+    grown(width, &outside, radius).iter().zip(mask).map(|(outside, mask)| !outside || *mask).collect()
 }
 
 /// Dilation: pixels with a marked one at most `radius` rows and columns away.

@@ -72,6 +72,26 @@ fn where_a_person_stood_the_background_is_that_of_the_surroundings() {
 }
 
 #[test]
+fn silhouettes_are_filled_where_gaps_are_narrow_and_holes_closed() {
+    let (width, height) = (100, 60);
+    let is_ring = |x: usize, y: usize| (20..60).contains(&x) && (10..50).contains(&y);
+    let is_hole = |x: usize, y: usize| (30..50).contains(&x) && (20..40).contains(&y);
+    // A gap of four pixels opens the hole to the right, one of twenty pixels cuts into the left side.
+    let is_gap = |x: usize, y: usize| x >= 50 && (28..32).contains(&y);
+    let is_cut = |x: usize, y: usize| x < 26 && (20..40).contains(&y);
+    let mask: Vec<bool> = (0..width * height)
+        .map(|i| (i % width, i / width))
+        .map(|(x, y)| is_ring(x, y) && !is_hole(x, y) && !is_gap(x, y) && !is_cut(x, y))
+        .collect();
+    let filled = outline::filled(width, &mask);
+    assert!(mask.iter().zip(&filled).all(|(mask, filled)| !mask || *filled));
+    let at = |x: usize, y: usize| filled[y * width + x];
+    assert!((30..50).all(|x| (20..40).all(|y| at(x, y))), "the hole");
+    assert!((50..57).all(|x| (28..32).all(|y| at(x, y))), "the gap");
+    assert!(!at(22, 30) && !at(62, 30) && !at(5, 5), "outside");
+}
+
+#[test]
 fn too_few_frames_and_moving_cameras_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let settings =
