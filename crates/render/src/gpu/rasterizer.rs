@@ -1,5 +1,6 @@
 //! The GPU renderer behind the common contract: arrays in, arrays out.
 
+use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
@@ -53,13 +54,13 @@ impl GpuRasterizer {
     /// Draws, and computes gradients if `v_image` is given. Repeats with larger buffers if they were too small.
     ///
     /// - `shared`: the job's Gaussians, if they will not change until drawn again
-    /// - `wanted`: buffers to read, and the number of values of each
+    /// - `wanted`: buffers to read, and the range of values of each
     /// - returns: their values, and the milliseconds on the GPU
     fn run<const K: usize>(
         &self,
         job: &Job<'_>,
         shared: Option<&Arc<Activated>>,
-        wanted: impl Fn(&RenderBuffers) -> [(&wgpu::Buffer, usize); K],
+        wanted: impl Fn(&RenderBuffers) -> [(&wgpu::Buffer, Range<usize>); K],
     ) -> Result<([Vec<f32>; K], f64), GpuError> {
         let Job { gaussians, camera, settings, v_image } = *job;
         let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
@@ -112,8 +113,8 @@ impl GpuRasterizer {
             let times = timer.as_ref().map(|timer| timer.stage(&self.gpu, &mut encoder)).transpose()?;
             let status = self.gpu.stage(&mut encoder, &renderer.buffers().status, 2)?;
             let mut staged = Vec::with_capacity(K);
-            for (buffer, len) in wanted(renderer.buffers()) {
-                staged.push(self.gpu.stage(&mut encoder, buffer, len)?);
+            for (buffer, range) in wanted(renderer.buffers()) {
+                staged.push(self.gpu.stage_range(&mut encoder, buffer, range)?);
             }
             self.gpu.submit(encoder);
             staged.iter().chain([&status]).for_each(|staged| staged.map(&self.gpu));
@@ -137,10 +138,41 @@ impl GpuRasterizer {
         }
     }
 
+    /// A picture, and the blending weight of every Gaussian summed over its pixels: as
+    /// [`CpuTiles::weights`](crate::CpuTiles::weights), of one drawing.
+    ///
+    /// - `gaussians`: of `C` channels; shared as for [`Draw::draw`]
+    /// - `shares`: `[C, H, W]` of the camera's size, each pixel's weight in each of `C` sums
+    /// - returns: `[C, H, W]`; and `[N, C]`, pixels
+    ///
+    /// # Errors
+    /// [`GpuError`] if the GPU fails, or lacks the memory.
+    ///
+    /// # Panics
+    /// If `shares` is of another size.
+    pub fn picture_and_weights(
+        &self,
+        gaussians: &Arc<Activated>,
+        camera: &Camera,
+        shares: &Image,
+    ) -> Result<(Image, Vec<f32>), GpuError> {
+        let (n, c) = (gaussians.num_gaussians(), gaussians.num_channels);
+        let shape = [shares.num_channels, shares.height, shares.width];
+        assert_eq!(shape, [c, camera.height, camera.width], "shares of all pixels");
+        let settings = &RenderSettings { statistic_channels: 0, ..RenderSettings::default() };
+        let job = Job { gaussians, camera, settings, v_image: Some(shares) };
+        let pixels = camera.width * camera.height;
+        // A gradient to a colour is a blending weight.
+        let ([data, weights], _) = self.run(&job, Some(gaussians), |buffers| {
+            [(&buffers.image, 0..c * pixels), (&buffers.v_activated, 11 * n..(11 + c) * n)]
+        })?;
+        Ok((Image { data, ..Image::filled(camera.width, camera.height, c, 0.0) }, weights))
+    }
+
     fn image(&self, job: &Job<'_>, shared: Option<&Arc<Activated>>) -> Result<(RenderOutput, f64), GpuError> {
         let (channels, camera) = (job.gaussians.num_channels, job.camera);
         let pixels = camera.width * camera.height;
-        let ([mut data], ms) = self.run(job, shared, |buffers| [(&buffers.image, (channels + 1) * pixels)])?;
+        let ([mut data], ms) = self.run(job, shared, |buffers| [(&buffers.image, 0..(channels + 1) * pixels)])?;
         let transmittance = data.split_off(channels * pixels);
         let image = Image { data, ..Image::filled(camera.width, camera.height, channels, 0.0) };
         Ok((RenderOutput { image, transmittance }, ms))
@@ -172,8 +204,8 @@ impl Rasterizer for GpuRasterizer {
         let shape = [v_image.num_channels, v_image.height, v_image.width];
         assert_eq!(shape, [c, camera.height, camera.width], "v_image against the rendered image");
         let job = Job { gaussians, camera, settings, v_image: Some(v_image) };
-        let ([v, statistic], _) =
-            self.run(&job, None, |buffers| [(&buffers.v_activated, (11 + c) * n), (&buffers.v_means2d_ndc, 3 * n)])?;
+        let ([v, statistic], _) = self
+            .run(&job, None, |buffers| [(&buffers.v_activated, 0..(11 + c) * n), (&buffers.v_means2d_ndc, 0..3 * n)])?;
         let rows = statistic.as_chunks::<3>().0;
         Ok(RenderGrads {
             activated: ActivatedGrads {

@@ -3,6 +3,7 @@
 //! Training and the player run their own shaders between the renderer's, on the same buffers. They use these functions,
 //! which are outside the documented interface: a new version of `wgpu` changes them without notice.
 
+use std::ops::Range;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 
@@ -147,7 +148,20 @@ impl Gpu {
         buffer: &wgpu::Buffer,
         len: usize,
     ) -> Result<Staged, GpuError> {
-        let bytes = len.max(1) as u64 * 4;
+        self.stage_range(encoder, buffer, 0..len)
+    }
+
+    /// As [`Self::stage`], for the values in a range.
+    ///
+    /// # Errors
+    /// As [`Self::storage`].
+    pub fn stage_range(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        buffer: &wgpu::Buffer,
+        range: Range<usize>,
+    ) -> Result<Staged, GpuError> {
+        let bytes = range.len().max(1) as u64 * 4;
         let staging = self.0.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("read back"),
             size: bytes,
@@ -155,8 +169,8 @@ impl Gpu {
             mapped_at_creation: false,
         });
         self.allocated("memory to read back", bytes)?;
-        encoder.copy_buffer_to_buffer(buffer, 0, &staging, 0, bytes);
-        Ok(Staged { staging, len, mapped: Arc::default() })
+        encoder.copy_buffer_to_buffer(buffer, range.start as u64 * 4, &staging, 0, bytes);
+        Ok(Staged { staging, len: range.len(), mapped: Arc::default() })
     }
 
     /// Reads the first `len` 32-bit values of `buffer`; waits for the GPU.

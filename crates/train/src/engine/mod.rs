@@ -8,8 +8,10 @@ pub mod cpu;
 mod device;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+mod look;
 mod scenery;
 
+pub use look::LookRenderer;
 pub use scenery::{Scenery, ViewScenery};
 
 use std::fmt::Debug;
@@ -126,6 +128,9 @@ pub trait Engine: Send + Debug {
     ///
     /// - `cameras`: one rendering each
     fn sensitivity(&mut self, cameras: &[Camera]) -> Result<Sensitivity, TrainError>;
+
+    /// Draws for the gate's look, on the engine's device.
+    fn look_renderer(&self) -> Arc<dyn LookRenderer>;
 
     /// Renders the current state: quantised and masked, colours alone, without the gain and offset of a training
     /// camera.

@@ -11,16 +11,17 @@
 //! - Stillness is the share of a Gaussian's weight on unchanged content. The loss that uses it pulls and does not
 //!   decide: a Gaussian whose colours fit better elsewhere still moves there.
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 use tcgs_core::{Activated, Camera, Image, Pinhole};
-use tcgs_render::{
-    CpuRasterizer, CpuTiles, Laps, RenderSettings, TileMask, gaussians_reaching, tiles_reached, weights_step,
-};
+use tcgs_render::{TileMask, gaussians_reaching, tiles_reached, weights_step};
 
 use super::{Blocks, Evidence};
+use crate::TrainError;
 use crate::config::{GateConfig, MaskConfig};
 use crate::engine::cpu::Drawn;
-use crate::engine::{Scenery, Target, ViewScenery};
+use crate::engine::{LookRenderer, Scenery, Target, ViewScenery};
 use crate::losses::{Loss, LossTerms, WeightConfig};
 use crate::motion::Past;
 use crate::neighbors::Neighbors;
@@ -67,14 +68,18 @@ pub(crate) struct Activity {
 impl Activity {
     /// - `state`: after the previous timestep
     /// - `pictures`: `[cameras]`, of this state
+    ///
+    /// # Errors
+    /// Those of the renderer.
     pub(super) fn new(
+        renderer: &dyn LookRenderer,
         state: &State,
         mask: &MaskConfig,
         targets: &[Target],
         evidence: Vec<Evidence>,
         pictures: &[Image],
         config: &GateConfig,
-    ) -> Self {
+    ) -> Result<Self, TrainError> {
         let channels = pictures[0].num_channels;
         let mut activity = Self {
             active: Vec::new(),
@@ -89,15 +94,14 @@ impl Activity {
             corrections: Vec::new(),
         };
         if evidence.iter().all(|e| e.tiles.is_empty()) {
-            return activity;
+            return Ok(activity);
         }
         let drawn = Drawn::new(state, mask, channels > 3);
         let all = drawn.activated();
-        let means = state.parameters.gaussians.means();
         let looks: Vec<ViewLook> = (targets, &evidence)
             .into_par_iter()
-            .map(|(t, e)| ViewLook::new(all, means, t, e, config.matches))
-            .collect();
+            .map(|(t, e)| ViewLook::new(renderer, all, t, e, config.matches))
+            .collect::<Result<_, _>>()?;
         let mut weights = vec![[0.0_f32; 2]; all.num_gaussians()];
         for look in &looks {
             for (sum, weights) in weights.iter_mut().zip(&look.weights) {
@@ -124,7 +128,7 @@ impl Activity {
         let indices = |flags: &[bool]| (0..flags.len()).filter(|&i| flags[i]).collect::<Vec<_>>();
         activity.active = indices(&is_active);
         if activity.active.is_empty() {
-            return activity;
+            return Ok(activity);
         }
         if config.matches {
             let shown = |look: &ViewLook| {
@@ -137,15 +141,16 @@ impl Activity {
         activity.before = all.select(&activity.active);
         // Active Gaussians answer for every tile in which they are visible, changed or not.
         let colors: Vec<f32> = is_active.iter().map(|&is_active| f32::from(u8::from(is_active))).collect();
-        let marked = Activated { colors, num_channels: 1, background: Vec::new(), ..all.clone() };
-        (&mut activity.tiles, targets)
-            .into_par_iter()
-            .for_each(|(tiles, target)| tiles.union(&tiles_shown(&marked, &activity.before, &target.camera)));
+        let marked = Arc::new(Activated { colors, num_channels: 1, background: Vec::new(), ..Activated::clone(all) });
+        (&mut activity.tiles, targets).into_par_iter().try_for_each(|(tiles, target)| {
+            tiles.union(&tiles_shown(renderer, &marked, &activity.before, &target.camera)?);
+            Ok::<_, TrainError>(())
+        })?;
         activity.cameras = (0..targets.len()).filter(|&i| !activity.tiles[i].is_empty()).collect();
         let cameras: Vec<&Camera> = targets.iter().map(|target| &target.camera).collect();
         let (rows, num_active) = (activity.rows(), activity.active.len());
         activity.scenery = Some(scenery_of(&drawn, &rows, num_active, &activity.tiles, pictures, &cameras));
-        activity
+        Ok(activity)
     }
 
     /// - `num_gaussians`: of the scene
@@ -365,15 +370,20 @@ struct ViewLook {
 }
 
 impl ViewLook {
-    /// - `all`, `means`: `[N]`
-    fn new(all: &Activated, means: &[[f32; 3]], target: &Target, evidence: &Evidence, with_matches: bool) -> Self {
+    /// - `all`: `[N]`
+    fn new(
+        renderer: &dyn LookRenderer,
+        all: &Arc<Activated>,
+        target: &Target,
+        evidence: &Evidence,
+        with_matches: bool,
+    ) -> Result<Self, TrainError> {
         let (step, camera) = (weights_step(&target.camera), looked_at(&target.camera));
         let mut shares = Image::filled(camera.width, camera.height, 2, 1.0);
         mark(&evidence.blocks, step, camera.width, shares.plane_mut(0));
-        let tiles = CpuTiles::new(all, &camera);
-        let weights = tiles.weights(&shares).as_chunks::<2>().0.to_vec();
-        let is_shown = if with_matches { shown(&tiles, means, &camera) } else { Vec::new() };
-        Self { weights, is_shown }
+        let (weights, depths) = renderer.weights(all, &camera, &shares, with_matches)?;
+        let is_shown = if with_matches { shown(&depths, &all.means, &camera) } else { Vec::new() };
+        Ok(Self { weights, is_shown })
     }
 }
 
@@ -384,16 +394,14 @@ fn looked_at(camera: &Camera) -> Camera {
 
 /// Whether each Gaussian's centre is no further than the surface that the picture shows there.
 ///
-/// - `tiles`: of the Gaussians in this camera
+/// - `depths`: `[2, H, W]`, depths times blending weights, and these weights
 /// - `means`: `[N]`
 /// - returns: `[N]`
-fn shown(tiles: &CpuTiles, means: &[[f32; 3]], camera: &Camera) -> Vec<bool> {
+fn shown(depths: &Image, means: &[[f32; 3]], camera: &Camera) -> Vec<bool> {
     let pinhole = Pinhole::<f32>::new(camera);
-    let depths: Vec<f32> = means.iter().flat_map(|&mean| [pinhole.camera_point(mean)[2], 1.0]).collect();
-    let picture = tiles.draw(&depths, 2);
     let is_shown = |&mean: &[f32; 3]| {
         let Some((pixel, depth)) = pinhole.pixel(mean) else { return false };
-        let [sum, weight] = [0, 1].map(|channel| picture.plane(channel)[pixel]);
+        let [sum, weight] = [0, 1].map(|channel| depths.plane(channel)[pixel]);
         depth * weight <= sum + BEHIND * weight * depth / pinhole.focal[0]
     };
     means.iter().map(is_shown).collect()
@@ -403,17 +411,21 @@ fn shown(tiles: &CpuTiles, means: &[[f32; 3]], camera: &Camera) -> Vec<bool> {
 ///
 /// - `marked`: all Gaussians of the scene; one channel, 1 for these and 0 for the others
 /// - `these`: these Gaussians alone
-fn tiles_shown(marked: &Activated, these: &Activated, camera: &Camera) -> TileMask {
+fn tiles_shown(
+    renderer: &dyn LookRenderer,
+    marked: &Arc<Activated>,
+    these: &Activated,
+    camera: &Camera,
+) -> Result<TileMask, TrainError> {
     let mut tiles = TileMask::none(camera.width, camera.height);
     let (step, camera) = (weights_step(camera), looked_at(camera));
-    let mut picture = Image::filled(camera.width, camera.height, 1, 0.0);
-    let (reached, settings) = (tiles_reached(these, &camera), RenderSettings::default());
-    CpuRasterizer.forward_in(marked, &camera, &settings, &reached, &mut picture, &mut Laps::begin());
+    let reached = tiles_reached(these, &camera);
+    let picture = renderer.picture(marked, &camera, &reached)?;
     for (i, _) in picture.data.iter().enumerate().filter(|(_, share)| **share > MIN_SHARE) {
         let [x, y] = [i % camera.width * step, i / camera.width * step];
         tiles.insert_pixels(x..x + step, y..y + step);
     }
-    tiles
+    Ok(tiles)
 }
 
 /// 1 at pixels of marked blocks, 0 elsewhere.
@@ -466,6 +478,7 @@ mod tests {
     use tcgs_core::PointCloud;
 
     use super::*;
+    use crate::engine::cpu::CpuLook;
     use crate::motion::Pose;
     use crate::parameters::Parameters;
 
@@ -488,7 +501,7 @@ mod tests {
         let evidence = vec![Evidence { blocks, tiles }];
         let (config, mask) = (GateConfig { matches: false, ..GateConfig::ON }, crate::TrainConfig::default().mask);
         let pictures = [Image::filled(64, 48, 3, 0.0)];
-        let activity = Activity::new(&state, &mask, &[target], evidence, &pictures, &config);
+        let activity = Activity::new(&CpuLook, &state, &mask, &[target], evidence, &pictures, &config).unwrap();
         let [left, right, behind] = activity.stillness[..] else { panic!("{:?}", activity.stillness) };
         assert!(left < 1e-3 && (0.2..0.9).contains(&right) && behind == 0.0, "{:?}", activity.stillness);
         let small = activity.excerpt(&state);

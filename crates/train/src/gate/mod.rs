@@ -36,9 +36,10 @@ use self::matches::{Matches, Mover};
 pub(crate) use self::pace::Pace;
 #[cfg(test)]
 pub(crate) use self::pace::SETTLED_PACE;
+use crate::TrainError;
 use crate::config::{GateConfig, MaskConfig};
-use crate::engine::Target;
 use crate::engine::cpu::Drawn;
+use crate::engine::{LookRenderer, Target};
 use crate::state::State;
 
 /// The number of noise estimates of a camera whose median counts.
@@ -144,10 +145,18 @@ impl Gate {
     ///
     /// - `state`: after the previous timestep, with its past
     /// - returns: `None` if the gate does not know the previous images; everything then counts as changed
-    pub fn look(&mut self, state: &State, targets: &[Target]) -> Option<Activity> {
+    ///
+    /// # Errors
+    /// Those of the renderer.
+    pub fn look(
+        &mut self,
+        renderer: &dyn LookRenderer,
+        state: &State,
+        targets: &[Target],
+    ) -> Result<Option<Activity>, TrainError> {
         let size = |target: &Target| [target.image.width, target.image.height];
         let fits = |memory: &&mut Memory| memory.before.iter().map(size).eq(targets.iter().map(size));
-        let memory = self.memory.as_mut().filter(fits)?;
+        let Some(memory) = self.memory.as_mut().filter(fits) else { return Ok(None) };
         let all_before = std::mem::take(&mut memory.before);
         let config = &self.config;
         let evidence: Vec<Evidence> =
@@ -173,11 +182,11 @@ impl Gate {
                     Evidence { tiles: tiles_of(&blocks, width, height), blocks }
                 })
                 .collect();
-        let mut activity = Activity::new(state, &self.mask, targets, evidence, &memory.pictures, config);
+        let mut activity = Activity::new(renderer, state, &self.mask, targets, evidence, &memory.pictures, config)?;
         if config.matches {
             activity.corrections = corrections(state, &activity, &all_before, targets);
         }
-        Some(activity)
+        Ok(Some(activity))
     }
 
     /// `[cameras]`, the scene as it is now, before the cameras' gain and offset; none before [`Self::begin`].

@@ -59,8 +59,9 @@ impl Trainer {
         if phase == Phase::Rest {
             self.solver.engine.state_mut()?.begin_past();
             if let Some(gate) = &mut self.gate {
+                let renderer = self.solver.engine.look_renderer();
                 let state = self.solver.engine.state()?;
-                activity = gate.look(state, &self.solver.targets);
+                activity = gate.look(&*renderer, state, &self.solver.targets)?;
                 self.population.begin_timestep(state, activity.as_ref());
             }
             self.begin_timestep(activity.as_ref())?;

@@ -7,7 +7,7 @@ use tcgs_capture::{Capture, Split, SyntheticSettings, write_synthetic};
 use tcgs_core::{Camera, Image, Sensitivity, View};
 use tcgs_render::StageTimes;
 use tcgs_train::engine::cpu::CpuEngine;
-use tcgs_train::engine::{Engine, Scenery, Step, Target};
+use tcgs_train::engine::{Engine, LookRenderer, Scenery, Step, Target};
 use tcgs_train::{
     DensifyStep, GateRecord, GradientStatistic, LossTerms, MaskConfig, Parameters, Run, State, TrainConfig, TrainError,
     Trained, Trainer, densify, reset_opacities,
@@ -227,6 +227,10 @@ impl Engine for Late {
 
     fn state_mut(&mut self) -> Result<&mut State, TrainError> {
         self.cpu.state_mut()
+    }
+
+    fn look_renderer(&self) -> Arc<dyn LookRenderer> {
+        self.cpu.look_renderer()
     }
 
     fn sensitivity(&mut self, cameras: &[Camera]) -> Result<Sensitivity, TrainError> {

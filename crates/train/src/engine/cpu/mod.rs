@@ -1,10 +1,12 @@
 //! The CPU engine. The number of threads does not change any bit of the result.
 
 mod image_loss;
+mod look;
 mod motion_prior;
 mod stage;
 
 pub use image_loss::{ImageLoss, image_loss, image_loss_in};
+pub(crate) use look::CpuLook;
 pub use motion_prior::{MotionPrior, PriorGrads};
 
 use std::sync::Arc;
@@ -17,7 +19,7 @@ use tcgs_core::{
 use tcgs_render::{CpuRasterizer, Laps, Rasterizer, RenderGrads, RenderSettings, StageTimes};
 
 use self::stage::Stage;
-use super::{Engine, Scenery, Step, Target};
+use super::{Engine, LookRenderer, Scenery, Step, Target};
 use crate::TrainError;
 use crate::config::MaskConfig;
 use crate::dropout::Dropout;
@@ -83,7 +85,7 @@ impl Drawn {
     }
 
     /// With the colours of degree 0, for uses that do not depend on colours.
-    pub fn activated(&self) -> &Activated {
+    pub fn activated(&self) -> &Arc<Activated> {
         &self.activated
     }
 
@@ -391,6 +393,10 @@ impl Engine for CpuEngine {
     fn sensitivity(&mut self, cameras: &[Camera]) -> Result<Sensitivity, TrainError> {
         let Ok(sensitivity) = sensitivity(&CpuRasterizer, &self.state.parameters.gaussians, cameras);
         Ok(sensitivity)
+    }
+
+    fn look_renderer(&self) -> Arc<dyn LookRenderer> {
+        Arc::new(CpuLook)
     }
 
     fn draw(&mut self, mask: &MaskConfig, camera: &Camera) -> Result<Image, TrainError> {

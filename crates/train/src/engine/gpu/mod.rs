@@ -14,6 +14,7 @@ mod activate;
 mod adam;
 mod fake_quant;
 mod image_loss;
+mod look;
 mod memory;
 mod motion_prior;
 mod parts;
@@ -33,6 +34,7 @@ use tcgs_render::gpu::raw::{StageTimer, Staged};
 use tcgs_render::gpu::{Gpu, GpuError, GpuRasterizer};
 use tcgs_render::{Draw, RenderSettings, StageTimes};
 
+use self::look::GpuLook;
 use self::memory::Memory;
 use self::parts::Parts;
 use self::passes::STAGES;
@@ -40,7 +42,7 @@ use self::state_buffers::REPORT;
 use self::targets::Targets;
 use super::cpu::Drawn;
 use super::device::{InFlight, LOSS_VALUES, Mirror, StepUniform, ViewPlace, count_updates, losses_of};
-use super::{Engine, Scenery, Step, Target};
+use super::{Engine, LookRenderer, Scenery, Step, Target};
 use crate::TrainError;
 use crate::config::MaskConfig;
 use crate::losses::LossTerms;
@@ -101,6 +103,8 @@ pub struct GpuEngine {
     timer: Option<StageTimer>,
     /// Renders outside of iterations: sensitivities and pictures.
     rasterizer: GpuRasterizer,
+    /// Renders for the gate's look.
+    look: Arc<GpuLook>,
     /// The Gaussians that a state draws with a mask, with the state's version and the mask.
     drawn: Option<(u64, MaskConfig, Drawn)>,
 }
@@ -119,6 +123,7 @@ impl GpuEngine {
             losses: Vec::new(),
             timer: None,
             rasterizer: GpuRasterizer::new(gpu),
+            look: Arc::new(GpuLook::new(gpu)),
             drawn: None,
         }
     }
@@ -365,6 +370,10 @@ impl Engine for GpuEngine {
     fn sensitivity(&mut self, cameras: &[Camera]) -> Result<Sensitivity, TrainError> {
         self.read()?;
         Ok(sensitivity(&self.rasterizer, &self.state.host().parameters.gaussians, cameras)?)
+    }
+
+    fn look_renderer(&self) -> Arc<dyn LookRenderer> {
+        Arc::<GpuLook>::clone(&self.look)
     }
 
     fn draw(&mut self, mask: &MaskConfig, camera: &Camera) -> Result<Image, TrainError> {
