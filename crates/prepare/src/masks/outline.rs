@@ -87,7 +87,7 @@ pub(super) fn filled(width: usize, mask: &[bool]) -> Vec<bool> {
     let radius = (GAP * width as f32).round() as usize;
     let closed = grown(width, mask, radius);
     let height = mask.len() / width;
-    // What is connected to the image's border is outside.
+    // Unmarked pixels that are connected to the image's border are outside.
     let mut outside = vec![false; mask.len()];
     let is_border = |i: usize| i % width == 0 || i % width == width - 1 || i < width || i >= width * (height - 1);
     let mut next: Vec<usize> = (0..mask.len()).filter(|&i| is_border(i)).collect();

@@ -1,4 +1,4 @@
-//! What the gate's look draws: blending weights, depths, and where some Gaussians show.
+//! Drawing for the gate's look: blending weights, depths, and the pixels that show some Gaussians.
 
 use std::fmt::Debug;
 use std::sync::Arc;
@@ -8,8 +8,8 @@ use tcgs_render::TileMask;
 
 use crate::TrainError;
 
-/// Draws for the gate's look. Implementations agree but for rounding. All views of a look share their Gaussians, so that
-/// a device loads them once.
+/// Draws for the gate's look. Implementations agree but for rounding. All views of a look share their Gaussians: a
+/// device loads them once.
 pub trait LookRenderer: Debug + Send + Sync {
     /// Blending weights of all Gaussians, summed over the pixels of an image.
     ///

@@ -9,8 +9,8 @@ use tcgs_render::{Draw, RenderSettings, TileMask};
 use crate::TrainError;
 use crate::engine::LookRenderer;
 
-/// Channels of what [`GpuLook::weights`] draws: the position of a Gaussian's centre, and 1. A pixel's depth follows from
-/// its position for any camera, so that all views draw the same Gaussians.
+/// Channels that [`GpuLook::weights`] draws: the position of a Gaussian's centre, and 1. For any camera a pixel's depth
+/// follows from them, so that all views draw the same Gaussians.
 const CHANNELS: usize = 4;
 
 /// Draws on a GPU. Weights and pictures have buffers of their own, which fit all views.
