@@ -89,7 +89,7 @@ pub(super) fn filled(width: usize, mask: &[bool]) -> Vec<bool> {
     let height = mask.len() / width;
     // Unmarked pixels that are connected to the image's border are outside.
     let mut outside = vec![false; mask.len()];
-    let is_border = |i: usize| i % width == 0 || i % width == width - 1 || i < width || i >= width * (height - 1);
+    let is_border = |i: usize| [0, width - 1].contains(&(i % width)) || [0, height - 1].contains(&(i / width));
     let mut next: Vec<usize> = (0..mask.len()).filter(|&i| is_border(i)).collect();
     while let Some(i) = next.pop() {
         if closed[i] || outside[i] {
