@@ -169,7 +169,7 @@ mod tests {
     #[test]
     fn the_share_of_the_iterations_takes_the_time() {
         let speed = Speed::of(2.0, Some(1.5));
-        let usual = [4000, 300];
+        let usual = [2500, 300];
         for seconds in [100.0, 700.0] {
             let share = speed.share(usual, 10, seconds);
             let iterations = usual.map(|count| (count as f64 * share).round() as usize);

@@ -73,7 +73,7 @@ pub enum Preset {
     Paper,
     /// The paper's settings, with those replaced that measured worse than an alternative.
     Default,
-    /// `Default` with 4000 instead of 10000 iterations of the first timestep, and 300 instead of 2000 of each later
+    /// `Default` with 2500 instead of 10000 iterations of the first timestep, and 300 instead of 2000 of each later
     /// one.
     Fast,
 }
@@ -233,7 +233,7 @@ impl TrainConfig {
             }
         }
         if preset == Preset::Fast {
-            config.schedule = ScheduleConfig { first_iterations: 4000, rest_iterations: 300 };
+            config.schedule = ScheduleConfig { first_iterations: 2500, rest_iterations: 300 };
         }
         config
     }
