@@ -56,7 +56,7 @@ impl CpuSaved {
     /// Numbers of pairs and splats in the image.
     pub fn counts(&self) -> PairCounts {
         let tiles = &self.tiles.0;
-        PairCounts { pairs: tiles.pair_splats.len(), splats: tiles.splats.len() }
+        PairCounts { pairs: tiles.pairs.len(), splats: tiles.splats.len() }
     }
 }
 
@@ -206,7 +206,7 @@ impl CpuRasterizer {
             .into_par_iter()
             .with_max_len(1)
             .map(|tile| {
-                let mut v_pairs = vec![0.0; tiles.pairs(tile).len() * stride];
+                let mut v_pairs = vec![0.0; tiles.pairs_of(tile).len() * stride];
                 if !v_pairs.is_empty() {
                     with_channels!(
                         gaussians.num_channels,
@@ -282,7 +282,7 @@ impl CpuTiles {
             .into_par_iter()
             .with_max_len(1)
             .map(|tile| {
-                let mut sums = vec![0.0; tiles.pairs(tile).len() * channels];
+                let mut sums = vec![0.0; tiles.pairs_of(tile).len() * channels];
                 if !sums.is_empty() {
                     with_channels!(channels, rasterize_weights(tiles, tile, shares, &mut sums));
                 }

@@ -25,11 +25,13 @@
 
 #![allow(clippy::too_many_arguments, reason = "all that a tile reads and writes")]
 
+use std::ops::Range;
+
 use multiversion::multiversion;
 use multiversion::target::match_target;
 use tcgs_core::Image;
 
-use super::tiles::{Splat, Tiles};
+use super::tiles::{Pair, Splat, Tiles};
 use crate::RenderSettings;
 use crate::settings::{MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE};
 use crate::tiling::{PAIR_GRADS, TILE};
@@ -131,14 +133,23 @@ fn blend_run<const L: usize, const FUSED: bool>(terms: RowTerms, x: f32, transmi
     weights
 }
 
-/// Rows of a tile that a splat reaches, and runs of `L` pixels in each.
-#[inline(always)]
-fn reach<const L: usize>(splat: &Splat, origin: [usize; 2]) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
-    let clip = |range: [u32; 2], origin: usize| {
-        (range[0] as usize).saturating_sub(origin)..(range[1] as usize - origin).min(TILE)
-    };
-    let columns = clip(splat.columns, origin[0]);
-    (clip(splat.rows, origin[1]), columns.start / L..columns.end.div_ceil(L))
+/// A pair's splat, copied, with its colours.
+struct Taken<const C: usize> {
+    splat: Splat,
+    rows: [u8; 2],
+    color: [f32; C],
+}
+
+impl<const C: usize> Taken<C> {
+    /// Runs of `L` pixels that the splat reaches in each of its rows of a tile, and these rows.
+    ///
+    /// - `left`: of the tile, pixels
+    #[inline(always)]
+    fn runs<const L: usize>(&self, left: usize) -> (Range<usize>, Range<usize>) {
+        let [first, end] = self.splat.columns.map(|column| column as usize);
+        let [top, bottom] = self.rows.map(usize::from);
+        (first.saturating_sub(left) / L..(end - left).min(TILE).div_ceil(L), top..bottom)
+    }
 }
 
 #[inline(always)]
@@ -150,11 +161,12 @@ fn finished(transmittance: &Plane) -> bool {
 ///
 /// - `colors`: `[N, C]`
 #[inline(always)]
-fn take_batch<const C: usize>(tiles: &Tiles, pairs: &[u32], colors: &[f32], batch: &mut Vec<(Splat, [f32; C])>) {
+fn take_batch<const C: usize>(tiles: &Tiles, pairs: &[Pair], colors: &[f32], batch: &mut Vec<Taken<C>>) {
     batch.clear();
-    batch.extend(pairs.iter().map(|&pair_splat| {
-        let splat = tiles.splats[pair_splat as usize];
-        (splat, *colors[splat.gaussian as usize * C..].first_chunk().expect("colors hold [N, C]"))
+    batch.extend(pairs.iter().map(|pair| {
+        let splat = tiles.splats[pair.splat as usize];
+        let color = *colors[splat.gaussian as usize * C..].first_chunk().expect("colors hold [N, C]");
+        Taken { splat, rows: pair.rows, color }
     }));
 }
 
@@ -221,14 +233,14 @@ fn fwd<const C: usize, const L: usize, const FUSED: bool>(
     let origin = origin(tiles, tile);
     let mut transmittance = start_transmittance(origin, width, height);
     let mut planes = [[0.0; TILE * TILE]; C];
-    let mut batch: Vec<(Splat, [f32; C])> = Vec::with_capacity(BATCH);
-    for pairs in tiles.pair_splats[tiles.pairs(tile)].chunks(BATCH) {
+    let mut batch: Vec<Taken<C>> = Vec::with_capacity(BATCH);
+    for pairs in tiles.pairs_of(tile).chunks(BATCH) {
         if finished(&transmittance) {
             break;
         }
         take_batch::<C>(tiles, pairs, colors, &mut batch);
-        for (splat, color) in &batch {
-            let (rows, runs) = reach::<L>(splat, origin);
+        for taken @ Taken { splat, color, .. } in &batch {
+            let (runs, rows) = taken.runs::<L>(origin[0]);
             let left = origin[0] as f32 + 0.5 - splat.mean2d[0];
             for row in rows {
                 let terms = RowTerms::new(splat, (origin[1] + row) as f32 + 0.5 - splat.mean2d[1]);
@@ -373,9 +385,11 @@ fn bwd<const C: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
     v_pairs: &mut [f32],
 ) {
     let is_wanted = |gaussian: u32| wanted.is_none_or(|wanted| wanted[gaussian as usize]);
-    let pairs = &tiles.pair_splats[tiles.pairs(tile)];
+    let pairs = tiles.pairs_of(tile);
     // Splats behind the last wanted one are skipped: the finished image has their colours.
-    let Some(last) = pairs.iter().rposition(|&splat| is_wanted(tiles.splats[splat as usize].gaussian)) else { return };
+    let Some(last) = pairs.iter().rposition(|pair| is_wanted(tiles.splats[pair.splat as usize].gaussian)) else {
+        return;
+    };
     let origin = origin(tiles, tile);
     let mut transmittance = start_transmittance(origin, image.width, image.height);
     let v_planes: [Plane; C] = std::array::from_fn(|channel| cut(v_image, channel, origin));
@@ -394,15 +408,16 @@ fn bwd<const C: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
     }
     let statistic: [f32; C] = std::array::from_fn(|c| f32::from(u8::from(c < settings.statistic_channels)));
 
-    let mut batch: Vec<(Splat, [f32; C])> = Vec::with_capacity(BATCH);
+    let mut batch: Vec<Taken<C>> = Vec::with_capacity(BATCH);
     for (pairs, v_pairs) in pairs[..=last].chunks(BATCH).zip(v_pairs.chunks_mut(BATCH * (PAIR_GRADS + C))) {
         if finished(&transmittance) {
             break;
         }
         take_batch::<C>(tiles, pairs, colors, &mut batch);
-        for ((splat, color), v_pair) in batch.iter().zip(v_pairs.chunks_exact_mut(PAIR_GRADS + C)) {
+        for (taken, v_pair) in batch.iter().zip(v_pairs.chunks_exact_mut(PAIR_GRADS + C)) {
+            let Taken { splat, color, .. } = taken;
             let statistic_color: [f32; C] = std::array::from_fn(|c| color[c] * statistic[c]);
-            let (rows, runs) = reach::<L>(splat, origin);
+            let (runs, rows) = taken.runs::<L>(origin[0]);
             let left = origin[0] as f32 + 0.5 - splat.mean2d[0];
             let zero = [0.0; L];
             if !is_wanted(splat.gaussian) {
@@ -424,12 +439,14 @@ fn bwd<const C: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
             let (mut g_sum, mut g_x, mut g_y, mut g_xx, mut g_xy, mut g_yy) = (zero, zero, zero, zero, zero, zero);
             let (mut s_x, mut s_y) = (zero, zero);
             let mut v_color = [zero; C];
-            for row in rows {
-                let dy = (origin[1] + row) as f32 + 0.5 - splat.mean2d[1];
-                let terms = RowTerms::new(splat, dy);
-                for column in runs.clone() {
+            for column in runs {
+                let x = left + (column * L) as f32;
+                // A lane has the same dx in all rows, so its factors come after the sums over rows.
+                let (mut g_0, mut g_dy, mut g_dy2, mut s_0, mut s_dy) = (zero, zero, zero, zero, zero);
+                for row in rows.clone() {
+                    let dy = (origin[1] + row) as f32 + 0.5 - splat.mean2d[1];
+                    let terms = RowTerms::new(splat, dy);
                     let at = row * TILE + column * L;
-                    let x = left + (column * L) as f32;
                     let transmittance = run_mut::<L>(&mut transmittance, at);
                     let behind = run_mut::<L>(&mut behind, at);
                     let behind_statistic = run_mut::<L>(&mut behind_statistic, at);
@@ -438,8 +455,7 @@ fn bwd<const C: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
                         if PARTIAL { shown::<C, L, FUSED>(&statistic_color, &v_planes, at) } else { zero };
                     let mut weights = zero;
                     for l in 0..L {
-                        let dx = x + l as f32;
-                        let blended = blend::<FUSED>(terms, dx, transmittance[l]);
+                        let blended = blend::<FUSED>(terms, x + l as f32, transmittance[l]);
                         transmittance[l] = blended.transmittance;
                         let (weight, alpha) = (blended.blend_weight, blended.alpha);
                         weights[l] = weight;
@@ -448,19 +464,15 @@ fn bwd<const C: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
                         let ratio = alpha / (1.0 - alpha);
                         let g = mul_add::<FUSED>(-ratio, behind[l], weight * own[l]);
                         let g = if moves { g } else { 0.0 };
-                        let (g_dx, g_dy) = (g * dx, g * dy);
-                        g_sum[l] += g;
-                        g_x[l] += g_dx;
-                        g_y[l] += g_dy;
-                        g_xx[l] = mul_add::<FUSED>(g_dx, dx, g_xx[l]);
-                        g_xy[l] = mul_add::<FUSED>(g_dx, dy, g_xy[l]);
-                        g_yy[l] = mul_add::<FUSED>(g_dy, dy, g_yy[l]);
+                        g_0[l] += g;
+                        g_dy[l] = mul_add::<FUSED>(g, dy, g_dy[l]);
+                        g_dy2[l] = mul_add::<FUSED>(g, dy * dy, g_dy2[l]);
                         if PARTIAL {
                             behind_statistic[l] = mul_add::<FUSED>(-weight, own_statistic[l], behind_statistic[l]);
                             let s = mul_add::<FUSED>(-ratio, behind_statistic[l], weight * own_statistic[l]);
                             let s = if moves { s } else { 0.0 };
-                            s_x[l] = mul_add::<FUSED>(s, dx, s_x[l]);
-                            s_y[l] = mul_add::<FUSED>(s, dy, s_y[l]);
+                            s_0[l] += s;
+                            s_dy[l] = mul_add::<FUSED>(s, dy, s_dy[l]);
                         }
                     }
                     for c in 0..C {
@@ -469,6 +481,17 @@ fn bwd<const C: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
                             v_color[c][l] = mul_add::<FUSED>(weights[l], v[l], v_color[c][l]);
                         }
                     }
+                }
+                for l in 0..L {
+                    let dx = x + l as f32;
+                    g_sum[l] += g_0[l];
+                    g_x[l] = mul_add::<FUSED>(g_0[l], dx, g_x[l]);
+                    g_xx[l] = mul_add::<FUSED>(g_0[l] * dx, dx, g_xx[l]);
+                    g_y[l] += g_dy[l];
+                    g_xy[l] = mul_add::<FUSED>(g_dy[l], dx, g_xy[l]);
+                    g_yy[l] += g_dy2[l];
+                    s_x[l] = mul_add::<FUSED>(s_0[l], dx, s_x[l]);
+                    s_y[l] += s_dy[l];
                 }
             }
             let [a, b, c] = splat.conic;
@@ -521,15 +544,15 @@ fn weights<const C: usize, const L: usize, const FUSED: bool>(
     let origin = origin(tiles, tile);
     let mut transmittance = start_transmittance(origin, shares.width, shares.height);
     let planes: [Plane; C] = std::array::from_fn(|channel| cut(shares, channel, origin));
-    let mut batch: Vec<(Splat, [f32; 0])> = Vec::with_capacity(BATCH);
-    for (pairs, sums) in tiles.pair_splats[tiles.pairs(tile)].chunks(BATCH).zip(sums.chunks_mut(BATCH * C)) {
+    let mut batch: Vec<Taken<0>> = Vec::with_capacity(BATCH);
+    for (pairs, sums) in tiles.pairs_of(tile).chunks(BATCH).zip(sums.chunks_mut(BATCH * C)) {
         if finished(&transmittance) {
             sums.fill(0.0);
             continue;
         }
         take_batch::<0>(tiles, pairs, &[], &mut batch);
-        for ((splat, _), sums) in batch.iter().zip(sums.chunks_exact_mut(C)) {
-            let (rows, runs) = reach::<L>(splat, origin);
+        for (taken @ Taken { splat, .. }, sums) in batch.iter().zip(sums.chunks_exact_mut(C)) {
+            let (runs, rows) = taken.runs::<L>(origin[0]);
             let left = origin[0] as f32 + 0.5 - splat.mean2d[0];
             let mut lanes = [[0.0; L]; C];
             for row in rows {

@@ -1,21 +1,30 @@
 //! The sorted list of splats of each tile.
 //!
-//! Depths are sorted once over all splats. Tiles then take their splats in that order, so each tile's list is sorted
-//! too. One (tile, splat) combination is a *pair*; pairs lie tile by tile.
+//! Splats are sorted once by depth. Tiles then take them in that order, so each tile's list is sorted too. One (tile,
+//! splat) combination is a *pair*; pairs lie tile by tile.
 
 use std::ops::Range;
 
 use multiversion::multiversion;
 use rayon::prelude::*;
-use tcgs_core::{Activated, Camera};
+use tcgs_core::{Activated, Camera, Pinhole};
 
 use crate::project::{SplatCamera, project};
-use crate::settings::MIN_ALPHA;
+use crate::settings::{BLUR_VARIANCE, MIN_ALPHA};
 use crate::tiling::{EXTENT_FACTOR, EXTENT_MARGIN_PX, TILE, tile_grid};
 use crate::{Laps, PairCounts, TileMask};
 
 /// Gaussians that one task projects.
 const CHUNK: usize = 1 << 10;
+
+/// Most parts whose pairs are made one beside another.
+const PARTS: usize = 16;
+
+/// The square of an ellipse's size in a column of tiles is widened by this factor ([`EXTENT_FACTOR`] squared).
+const SPAN_FACTOR: f64 = 1.002;
+
+/// Blending rounds the terms of the exponent. Their sum may be far smaller than they are: its error in terms of them.
+const SPAN_ROUNDING: f64 = 1e-6;
 
 /// A splat that reaches at least one pixel.
 #[derive(Clone, Copy, Debug)]
@@ -31,6 +40,15 @@ pub(super) struct Splat {
     pub gaussian: u32,
 }
 
+/// A splat in a tile.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Pair {
+    /// Index of the splat.
+    pub splat: u32,
+    /// Half-open range of the tile's rows outside which alpha is below [`MIN_ALPHA`].
+    pub rows: [u8; 2],
+}
+
 impl Splat {
     fn tile_range(range: [u32; 2]) -> Range<usize> {
         range[0] as usize / TILE..(range[1] as usize).div_ceil(TILE)
@@ -39,6 +57,49 @@ impl Splat {
     /// Columns and rows of the pixels that the splat may reach.
     fn pixels(&self) -> [Range<usize>; 2] {
         [self.columns, self.rows].map(|[first, end]| first as usize..end as usize)
+    }
+
+    /// Half-open range of pixel rows that the splat reaches in each of its columns of tiles: where its ellipse
+    /// `a x² + 2 b x y + c y² = reach` meets them. Wide splats have fewer rows in a column than in all of them together.
+    ///
+    /// - `see`: receives each column of tiles, and its rows
+    #[inline(always)]
+    fn for_each_span(&self, mut see: impl FnMut(usize, [u32; 2])) {
+        let tiles = Self::tile_range(self.columns);
+        if tiles.len() == 1 {
+            see(tiles.start, self.rows);
+            return;
+        }
+        let ([a, b, c], [x, y]) = (self.conic.map(f64::from), self.mean2d.map(f64::from));
+        let determinant = a * c - b * b;
+        if determinant.is_nan() || determinant <= 0.0 {
+            tiles.for_each(|tile| see(tile, self.rows));
+            return;
+        }
+        let margin = f64::from(EXTENT_MARGIN_PX);
+        let [first, end] = self.columns.map(|column| f64::from(column) - x);
+        let [top, bottom] = self.rows.map(|row| f64::from(row) - y);
+        let [width, height] = [end.max(-first), bottom.max(-top)];
+        let rounding = SPAN_ROUNDING * (a * width * width + c * height * height);
+        let reach = reach(self.opacity) * SPAN_FACTOR + rounding;
+        // The lowest and the highest point are this far aside. Half the height at `x` is the root of `square(x)`.
+        let aside = b * (reach / (a * determinant)).sqrt();
+        let (tilt, square) = (-b / c, |x: f64| reach / c - determinant / (c * c) * x * x);
+        for tile in tiles {
+            let edge = (tile * TILE) as f64 - x;
+            let [left, right] = [edge.max(first) + 0.5 - margin, (edge + TILE as f64).min(end) - 0.5 + margin];
+            let [low, high] = [aside, -aside].map(|x| x.clamp(left, right));
+            let [below, above] = [low, high].map(square);
+            if below.min(above) < 0.0 {
+                continue;
+            }
+            let begin = (y + tilt * low - below.sqrt() - margin - 0.5).ceil().max(0.0) as u32;
+            let end = ((y + tilt * high + above.sqrt() + margin - 0.5).floor() + 1.0).max(0.0) as u32;
+            let span = [begin.max(self.rows[0]), end.min(self.rows[1])];
+            if span[0] < span[1] {
+                see(tile, span);
+            }
+        }
     }
 
     fn meets(&self, mask: &TileMask) -> bool {
@@ -53,13 +114,14 @@ pub(super) struct Tiles {
     pub num_gaussians: usize,
     /// Width and height of the image, pixels.
     pub size: [usize; 2],
+    /// Sorted by depth.
     pub splats: Vec<Splat>,
     /// Tiles in a row and in a column.
     pub grid: [usize; 2],
     /// `[tiles + 1]` first pair of each tile.
     pub starts: Vec<u32>,
-    /// `[pairs]` index into `splats`, sorted by tile, then depth.
-    pub pair_splats: Vec<u32>,
+    /// Sorted by tile, then depth.
+    pub pairs: Vec<Pair>,
     /// `[splats + 1]` first of each splat's entries in `splat_pairs`.
     pub splat_starts: Vec<u32>,
     /// `[pairs]` the pairs of each splat: tile, and position among its pairs.
@@ -74,22 +136,72 @@ fn pixel_range(center: f32, extent: f32, size: usize) -> [u32; 2] {
     [first as u32, end as u32]
 }
 
+/// `a x² + 2 b x y + c y²` at which a splat's alpha is [`MIN_ALPHA`], with its conic `a, b, c`.
 #[inline(always)]
-fn splat(gaussians: &Activated, index: usize, camera: &Camera, splat_camera: &SplatCamera<f32>) -> Option<Splat> {
+fn reach(opacity: f32) -> f64 {
+    f64::from(2.0 * (opacity / MIN_ALPHA as f32).ln().max(0.0))
+}
+
+/// Opacity up to which a splat's size has one bound. Dropout raises opacities above 1.
+const MOST_OPAQUE: f32 = 2.0;
+
+/// Tells Gaussians that no pixel shows by a bound of their splats' size. It is cheaper than a projection.
+struct Frame<'a> {
+    camera: &'a SplatCamera<f32>,
+    size: [f32; 2],
+    /// Half extent of a splat as opaque as [`MOST_OPAQUE`], in standard deviations.
+    deviations: f32,
+    /// Bound of a splat's standard deviation along each axis, for a scale of 1 at a depth of 1, pixels.
+    widths: [f32; 2],
+}
+
+impl<'a> Frame<'a> {
+    fn new(camera: &'a SplatCamera<f32>) -> Self {
+        let SplatCamera { pinhole, slope_min, slope_max } = camera;
+        Self {
+            camera,
+            size: [pinhole.width as f32, pinhole.height as f32],
+            deviations: (reach(MOST_OPAQUE) as f32).sqrt() * EXTENT_FACTOR,
+            widths: std::array::from_fn(|i| pinhole.focal[i] * (1.0 + slope_max[i].max(-slope_min[i]))),
+        }
+    }
+
+    /// Whether a Gaussian up to as opaque as [`MOST_OPAQUE`] is before the camera and beside its image.
+    #[inline(always)]
+    fn is_beside(&self, mean: [f32; 3], scale: [f32; 3]) -> bool {
+        let Pinhole { focal, principal, .. } = &self.camera.pinhole;
+        let point = self.camera.pinhole.camera_point(mean);
+        let (depth, largest) = (point[2], scale.into_iter().fold(0.0, |most: f32, scale| most.max(scale.abs())));
+        let is_beside = |i: usize| {
+            let blurred = self.widths[i] * largest + BLUR_VARIANCE.sqrt() as f32 * depth;
+            let extent = self.deviations * blurred + (1.0 + EXTENT_MARGIN_PX) * depth;
+            // The centre, in pixels times depth.
+            let center = focal[i] * point[i] + principal[i] * depth;
+            center + extent < 0.0 || center - extent > self.size[i] * depth
+        };
+        depth > 0.0 && (is_beside(0) || is_beside(1))
+    }
+}
+
+#[inline(always)]
+fn splat(gaussians: &Activated, index: usize, frame: &Frame<'_>) -> Option<Splat> {
     let opacity = gaussians.opacities[index];
+    let (mean, scale) = (gaussians.means[index], gaussians.scales[index]);
     if opacity < MIN_ALPHA as f32 || opacity.is_nan() {
         return None;
     }
-    let p = project(gaussians.means[index], gaussians.quats[index], gaussians.scales[index], splat_camera)?;
+    if opacity <= MOST_OPAQUE && frame.is_beside(mean, scale) {
+        return None;
+    }
+    let p = project(mean, gaussians.quats[index], scale, frame.camera)?;
     let opacity = if gaussians.is_antialiased { opacity * p.kept_opacity() } else { opacity };
     if opacity < MIN_ALPHA as f32 {
         return None;
     }
-    // alpha >= MIN_ALPHA  <=>  exponent <= ln(opacity / MIN_ALPHA), an ellipse.
-    let reach = 2.0 * (opacity / MIN_ALPHA as f32).ln().max(0.0);
+    let reach = reach(opacity) as f32;
     let extent = |variance: f32| (reach * variance).sqrt() * EXTENT_FACTOR + EXTENT_MARGIN_PX;
-    let columns = pixel_range(p.mean2d[0], extent(p.covariance2d[0]), camera.width);
-    let rows = pixel_range(p.mean2d[1], extent(p.covariance2d[2]), camera.height);
+    let columns = pixel_range(p.mean2d[0], extent(p.covariance2d[0]), frame.camera.pinhole.width);
+    let rows = pixel_range(p.mean2d[1], extent(p.covariance2d[2]), frame.camera.pinhole.height);
     (columns[0] < columns[1] && rows[0] < rows[1]).then_some(Splat {
         mean2d: p.mean2d,
         conic: p.conic,
@@ -109,7 +221,7 @@ fn splats(gaussians: &Activated, camera: &Camera, mask: Option<&TileMask>) -> Ve
     let chunks: Vec<Vec<Splat>> = (0..num_gaussians)
         .into_par_iter()
         .step_by(CHUNK)
-        .map(|begin| splats_of(gaussians, begin..(begin + CHUNK).min(num_gaussians), camera, &splat_camera, mask))
+        .map(|begin| splats_of(gaussians, begin..(begin + CHUNK).min(num_gaussians), &splat_camera, mask))
         .collect();
     chunks.concat()
 }
@@ -120,13 +232,13 @@ fn splats(gaussians: &Activated, camera: &Camera, mask: Option<&TileMask>) -> Ve
 fn splats_of(
     gaussians: &Activated,
     indices: Range<usize>,
-    camera: &Camera,
-    splat_camera: &SplatCamera<f32>,
+    camera: &SplatCamera<f32>,
     mask: Option<&TileMask>,
 ) -> Vec<Splat> {
     let mut splats = Vec::with_capacity(indices.len());
+    let frame = Frame::new(camera);
     for index in indices {
-        if let Some(splat) = splat(gaussians, index, camera, splat_camera)
+        if let Some(splat) = splat(gaussians, index, &frame)
             && mask.is_none_or(|mask| splat.meets(mask))
         {
             splats.push(splat);
@@ -158,8 +270,69 @@ pub fn gaussians_reaching(gaussians: &Activated, camera: &Camera, mask: &TileMas
 /// Counts the splats of an image, and its pairs of a splat and a tile, without holding them in memory.
 pub fn count_pairs(gaussians: &Activated, camera: &Camera) -> PairCounts {
     let splats = splats(gaussians, camera, None);
-    let pairs_of = |s: &Splat| Splat::tile_range(s.rows).len() * Splat::tile_range(s.columns).len();
-    PairCounts { pairs: splats.par_iter().map(pairs_of).sum(), splats: splats.len() }
+    let num_pairs = |splat: &Splat| {
+        let mut pairs = 0;
+        splat.for_each_span(|_, span| pairs += Splat::tile_range(span).len());
+        pairs
+    };
+    PairCounts { pairs: splats.par_iter().map(num_pairs).sum(), splats: splats.len() }
+}
+
+/// The pairs of some splats that follow one another in depth.
+struct Part {
+    /// Sorted by tile, then depth.
+    pairs: Vec<Pair>,
+    /// `[tiles + 1]` first pair of each tile.
+    starts: Vec<u32>,
+    /// `[splats]` number of pairs of each splat.
+    counts: Vec<u32>,
+    /// `[pairs]` the pairs of each splat: tile, and position among the part's pairs of that tile.
+    splat_pairs: Vec<[u32; 2]>,
+}
+
+impl Part {
+    /// - `splats`: sorted by depth
+    /// - `first`: index of the first of them
+    fn new(splats: &[Splat], first: usize, grid: [usize; 2], mask: Option<&TileMask>) -> Self {
+        let mut found: Vec<(u32, Pair)> = Vec::with_capacity(4 * splats.len());
+        let mut counts = Vec::with_capacity(splats.len());
+        let mut starts = vec![0; grid[0] * grid[1] + 1];
+        for (i, splat) in splats.iter().enumerate() {
+            let begin = found.len();
+            splat.for_each_span(|column, span| {
+                for row in Splat::tile_range(span) {
+                    let tile = row * grid[0] + column;
+                    if mask.is_none_or(|mask| mask.contains(tile)) {
+                        let rows = span.map(|end| (end as usize).saturating_sub(row * TILE).min(TILE) as u8);
+                        found.push((tile as u32, Pair { splat: (first + i) as u32, rows }));
+                        starts[tile + 1] += 1;
+                    }
+                }
+            });
+            counts.push((found.len() - begin) as u32);
+        }
+        sum_up(&mut starts);
+        let mut next = starts.clone();
+        let mut pairs = vec![Pair::default(); found.len()];
+        let place = |(tile, pair): (u32, Pair)| {
+            let slot = next[tile as usize];
+            next[tile as usize] += 1;
+            pairs[slot as usize] = pair;
+            [tile, slot - starts[tile as usize]]
+        };
+        let splat_pairs = found.into_iter().map(place).collect();
+        Self { pairs, starts, counts, splat_pairs }
+    }
+
+    /// Pairs of one tile.
+    fn pairs_of(&self, tile: usize) -> &[Pair] {
+        &self.pairs[self.starts[tile] as usize..self.starts[tile + 1] as usize]
+    }
+}
+
+/// From counts after a first 0 to the first of each.
+fn sum_up(starts: &mut [u32]) {
+    (1..starts.len()).for_each(|i| starts[i] += starts[i - 1]);
 }
 
 impl Tiles {
@@ -168,64 +341,59 @@ impl Tiles {
     /// # Panics
     /// If there are more than `u32::MAX` pairs; see [`count_pairs`].
     pub fn new(gaussians: &Activated, camera: &Camera, mask: Option<&TileMask>, laps: &mut Laps) -> Self {
-        let splats = splats(gaussians, camera, mask);
+        let unsorted = splats(gaussians, camera, mask);
         laps.lap("project");
 
         // Depths are positive, so their bits sort like their values; equal depths sort by index.
-        let mut order: Vec<u64> =
-            splats.par_iter().enumerate().map(|(i, s)| u64::from(s.depth.to_bits()) << 32 | i as u64).collect();
+        let key = |(i, splat): (usize, &Splat)| u64::from(splat.depth.to_bits()) << 32 | i as u64;
+        let mut order: Vec<u64> = unsorted.par_iter().enumerate().map(key).collect();
         order.par_sort_unstable();
+        let splats: Vec<Splat> = order.par_iter().map(|&key| unsorted[key as u32 as usize]).collect();
 
         let grid = tile_grid(camera.width, camera.height);
-        let mut starts = vec![0_u32; grid[0] * grid[1] + 1];
-        let mut splat_starts = Vec::with_capacity(splats.len() + 1);
-        let mut num_pairs = 0_u64;
-        for s in &splats {
-            splat_starts.push(num_pairs as u32);
-            for row in Splat::tile_range(s.rows) {
-                for column in Splat::tile_range(s.columns) {
-                    let tile = row * grid[0] + column;
-                    if mask.is_none_or(|mask| mask.contains(tile)) {
-                        starts[tile + 1] += 1;
-                        num_pairs += 1;
-                    }
-                }
-            }
-        }
-        assert!(num_pairs <= u32::MAX.into(), "{num_pairs} pairs of splats and tiles, expected at most {}", u32::MAX);
-        splat_starts.push(num_pairs as u32);
-        for i in 1..starts.len() {
-            starts[i] += starts[i - 1];
-        }
+        let num_tiles = grid[0] * grid[1];
+        let part_size = CHUNK.max(splats.len().div_ceil(PARTS));
+        let part = |(i, splats): (usize, &[Splat])| Part::new(splats, i * part_size, grid, mask);
+        let parts: Vec<Part> = splats.par_chunks(part_size).enumerate().map(part).collect();
+        let num_pairs: usize = parts.iter().map(|part| part.pairs.len()).sum();
+        assert!(
+            u32::try_from(num_pairs).is_ok(),
+            "{num_pairs} pairs of splats and tiles, expected at most {}",
+            u32::MAX
+        );
 
-        let mut next = starts.clone();
-        let mut pair_splats = vec![0; num_pairs as usize];
-        let mut splat_pairs = vec![[0; 2]; num_pairs as usize];
-        for key in order {
-            let index = key as u32;
-            let s = &splats[index as usize];
-            let mut entry = splat_starts[index as usize] as usize;
-            for row in Splat::tile_range(s.rows) {
-                for column in Splat::tile_range(s.columns) {
-                    let tile = row * grid[0] + column;
-                    if mask.is_none_or(|mask| mask.contains(tile)) {
-                        let slot = &mut next[tile];
-                        pair_splats[*slot as usize] = index;
-                        splat_pairs[entry] = [tile as u32, *slot - starts[tile]];
-                        *slot += 1;
-                        entry += 1;
-                    }
-                }
-            }
+        let mut splat_starts = vec![0];
+        splat_starts.extend(parts.iter().flat_map(|part| &part.counts));
+        sum_up(&mut splat_starts);
+        let mut starts = vec![0; num_tiles + 1];
+        // `[parts, tiles]` pairs of each tile in the parts before.
+        let mut before: Vec<Vec<u32>> = Vec::with_capacity(parts.len());
+        for part in &parts {
+            before.push(starts[1..].to_vec());
+            (0..num_tiles).for_each(|tile| starts[tile + 1] += part.pairs_of(tile).len() as u32);
         }
+        sum_up(&mut starts);
+        let splat_pairs: Vec<Vec<[u32; 2]>> = parts
+            .par_iter()
+            .zip(&before)
+            .map(|(part, before)| part.splat_pairs.iter().map(|&[tile, i]| [tile, i + before[tile as usize]]).collect())
+            .collect();
+        let tile_rows: Vec<Vec<Pair>> = (0..grid[1])
+            .into_par_iter()
+            .map(|row| {
+                let tiles = row * grid[0]..(row + 1) * grid[0];
+                tiles.flat_map(|tile| parts.iter().flat_map(move |part| part.pairs_of(tile))).copied().collect()
+            })
+            .collect();
+        let (pairs, splat_pairs) = (tile_rows.concat(), splat_pairs.concat());
         laps.lap("sort");
         let (num_gaussians, size) = (gaussians.num_gaussians(), [camera.width, camera.height]);
-        Self { num_gaussians, size, splats, grid, starts, pair_splats, splat_starts, splat_pairs }
+        Self { num_gaussians, size, splats, grid, starts, pairs, splat_starts, splat_pairs }
     }
 
     /// Pairs of one tile.
-    pub fn pairs(&self, tile: usize) -> Range<usize> {
-        self.starts[tile] as usize..self.starts[tile + 1] as usize
+    pub fn pairs_of(&self, tile: usize) -> &[Pair] {
+        &self.pairs[self.starts[tile] as usize..self.starts[tile + 1] as usize]
     }
 }
 

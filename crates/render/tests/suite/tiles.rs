@@ -1,9 +1,11 @@
 //! Rendering some tiles of an image against rendering all of it.
 
 use crate::support::{random_scene, test_camera};
-use tcgs_core::{Activated, Image};
+use tcgs_core::{Activated, Image, normalize};
+use tcgs_render::settings::{MAX_ALPHA, MIN_ALPHA};
 use tcgs_render::{
-    CpuRasterizer, CpuTiles, Laps, Rasterizer, RenderSettings, TileMask, count_pairs, gaussians_reaching, tiles_reached,
+    CpuRasterizer, CpuTiles, Laps, Rasterizer, RenderSettings, SplatCamera, TileMask, count_pairs, gaussians_reaching,
+    project, tiles_reached,
 };
 
 const SIZE: [usize; 2] = [75, 52];
@@ -115,4 +117,52 @@ fn no_gaussian_changes_a_tile_that_it_does_not_reach() {
         let drawn = output.image.data.iter().enumerate().filter(|(_, value)| **value != 0.0);
         assert_eq!(drawn.filter(|(pixel, _)| is_outside(*pixel)).count(), 0, "Gaussian {i}");
     }
+}
+
+/// Bounds of a splat's columns and rows leave out no pixel: each Gaussian alone has its alpha in every pixel.
+#[test]
+fn every_pixel_shows_the_alpha_of_its_splat() {
+    let (width, height) = (250, 170);
+    let (camera, settings) = (test_camera(width, height), RenderSettings::default());
+    let splat_camera = SplatCamera::<f32>::new(&camera);
+    let (mut num_shown, mut num_hidden, mut num_beside) = (0, 0, 0);
+    for i in 0..600 {
+        // Thin and long in every direction, up to four times the width of the image, many with their centres beside it.
+        let at = |step: f32, from: f32, to: f32| from + (to - from) * (step * i as f32).fract();
+        let mean = [at(0.618, -2.5, 2.5), at(0.755, -2.0, 2.0), at(0.570, -2.4, 2.0)];
+        let quat = normalize([1.0, at(0.414, -1.0, 1.0), at(0.303, -1.0, 1.0), at(0.732, -3.0, 3.0)]);
+        let scale = [at(0.179, -7.0, 0.7), at(0.267, -7.0, -3.0), at(0.911, -7.0, -3.0)].map(f32::exp);
+        let alone = Activated {
+            means: vec![mean],
+            quats: vec![quat],
+            scales: vec![scale],
+            opacities: vec![at(0.845, 0.004, 1.9)],
+            colors: vec![1.0],
+            num_channels: 1,
+            is_antialiased: i % 2 == 0,
+            background: Vec::new(),
+        };
+        let Ok((output, _)) = CpuRasterizer.forward(&alone, &camera, &settings);
+        let Some(p) = project(mean, quat, scale, &splat_camera) else { continue };
+        let kept = if alone.is_antialiased { p.kept_opacity() } else { 1.0 };
+        let [a, b, c] = p.conic.map(f64::from);
+        num_beside += usize::from(!(0.0..250.0).contains(&p.mean2d[0]));
+        for (pixel, &drawn) in output.image.data.iter().enumerate() {
+            let dx = (pixel % width) as f64 + 0.5 - f64::from(p.mean2d[0]);
+            let dy = (pixel / width) as f64 + 0.5 - f64::from(p.mean2d[1]);
+            let exponent = 0.5 * (a * dx * dx + 2.0 * b * dx * dy + c * dy * dy);
+            let alpha = f64::from(alone.opacities[0] * kept) * (-exponent).exp();
+            // Blending rounds the terms of the exponent.
+            let rounding = 2e-3 + 1e-6 * (a * dx * dx + c * dy * dy);
+            if alpha > MIN_ALPHA * (1.0 + rounding) {
+                let error = (f64::from(drawn) / alpha.min(MAX_ALPHA) - 1.0).abs();
+                assert!(error < rounding, "Gaussian {i}, pixel {pixel}: {drawn}, expected {alpha}");
+                num_shown += 1;
+            } else if alpha < MIN_ALPHA * (1.0 - rounding) {
+                assert_eq!(drawn, 0.0, "Gaussian {i}, pixel {pixel}");
+                num_hidden += 1;
+            }
+        }
+    }
+    assert!(num_shown > 100_000 && num_hidden > 1_000_000 && num_beside > 50, "{num_shown} {num_hidden} {num_beside}");
 }
