@@ -14,8 +14,8 @@ use crate::numbers::Whole;
 pub const MAX_SIDE: usize = 1 << 16;
 /// Most pixels of an image: a panorama of 16384 x 8192. Drawing it takes 8 GB.
 const MAX_PIXELS: usize = 1 << 27;
-/// Bytes of a pair of a splat and a tile: 12 forward, and its gradients backward.
-const PAIR_BYTES: usize = 12;
+/// Most bytes of a pair of a splat and a tile while pairs are sorted; and its gradients backward.
+const PAIR_BYTES: usize = 40;
 /// Below this product of Gaussians and tiles, at most 3 GB of pairs, pairs are not counted before drawing.
 const FEW_PAIRS: usize = 1 << 28;
 

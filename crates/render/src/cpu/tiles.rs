@@ -354,13 +354,9 @@ impl Tiles {
         let num_tiles = grid[0] * grid[1];
         let part_size = CHUNK.max(splats.len().div_ceil(PARTS));
         let part = |(i, splats): (usize, &[Splat])| Part::new(splats, i * part_size, grid, mask);
-        let parts: Vec<Part> = splats.par_chunks(part_size).enumerate().map(part).collect();
+        let mut parts: Vec<Part> = splats.par_chunks(part_size).enumerate().map(part).collect();
         let num_pairs: usize = parts.iter().map(|part| part.pairs.len()).sum();
-        assert!(
-            u32::try_from(num_pairs).is_ok(),
-            "{num_pairs} pairs of splats and tiles, expected at most {}",
-            u32::MAX
-        );
+        assert!(num_pairs <= u32::MAX as usize, "{num_pairs} pairs of splats and tiles, expected at most {}", u32::MAX);
 
         let mut splat_starts = vec![0];
         splat_starts.extend(parts.iter().flat_map(|part| &part.counts));
@@ -374,18 +370,25 @@ impl Tiles {
         }
         sum_up(&mut starts);
         let splat_pairs: Vec<Vec<[u32; 2]>> = parts
-            .par_iter()
+            .par_iter_mut()
             .zip(&before)
-            .map(|(part, before)| part.splat_pairs.iter().map(|&[tile, i]| [tile, i + before[tile as usize]]).collect())
+            .map(|(part, before)| {
+                let mut splat_pairs = std::mem::take(&mut part.splat_pairs);
+                splat_pairs.iter_mut().for_each(|[tile, position]| *position += before[*tile as usize]);
+                splat_pairs
+            })
             .collect();
+        let splat_pairs = splat_pairs.concat();
         let tile_rows: Vec<Vec<Pair>> = (0..grid[1])
             .into_par_iter()
             .map(|row| {
                 let tiles = row * grid[0]..(row + 1) * grid[0];
-                tiles.flat_map(|tile| parts.iter().flat_map(move |part| part.pairs_of(tile))).copied().collect()
+                let mut pairs = Vec::with_capacity((starts[tiles.end] - starts[tiles.start]) as usize);
+                tiles.for_each(|tile| parts.iter().for_each(|part| pairs.extend_from_slice(part.pairs_of(tile))));
+                pairs
             })
             .collect();
-        let (pairs, splat_pairs) = (tile_rows.concat(), splat_pairs.concat());
+        let pairs = tile_rows.concat();
         laps.lap("sort");
         let (num_gaussians, size) = (gaussians.num_gaussians(), [camera.width, camera.height]);
         Self { num_gaussians, size, splats, grid, starts, pairs, splat_starts, splat_pairs }
