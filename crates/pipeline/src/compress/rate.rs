@@ -1,10 +1,8 @@
-//! Fewer bytes before a refinement: a coarser quality, and fewer Gaussians, as far as the images allow.
+//! Fewer bytes before a refinement: a quality as coarse, and Gaussians as few, as the images allow.
 //!
 //! Both are limited by the mean squared error of training images, relative to that of the floats. Where the floats
 //! themselves err much, as with noisy cameras, fine codes store noise; where they err little, fine codes show.
 //! Refinement takes back much of the allowed error.
-
-use std::ops::Range;
 
 use tcgs_codec::{CompactScene, CompressSettings};
 use tcgs_core::{Gaussians, View};
@@ -16,7 +14,7 @@ use crate::PipelineError;
 /// Error that refinement is left to take back. Shares are of the mean squared error of training images.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Allowance {
-    /// Growth by rounding and keypoints: the quality falls from 0 until they cause about so much. None: the settings
+    /// Growth by rounding and keypoints: the quality is the lowest at which they cause about so much. None: the settings
     /// stay. Default 0.15.
     pub rounding: Option<f32>,
     /// Growth by removal of Gaussians, of which those go first whose bytes lower the error least. Default 0.1; 0: all
@@ -49,10 +47,13 @@ impl Allowance {
 
 /// Fewest iterations of a refinement that takes back the whole allowance.
 const RECOVERY: f32 = 1000.0;
-/// Qualities that are chosen from, in steps of `1 / QUALITY_STEPS`. Below -2 SSIM falls faster than the squared error
-/// tells.
-const QUALITIES: Range<i32> = -8..1;
+/// Steps of quality to a quality of 1.
 const QUALITY_STEPS: f32 = 4.0;
+/// The lowest quality that is chosen, in steps. Below it SSIM falls faster than the squared error tells.
+const LOWEST: i32 = -8;
+/// The highest quality that is chosen, in steps. Where views are sparse it is 0: their images are fitted more closely than
+/// the scene, so rounding that shows in them need not show in others.
+const HIGHEST: f32 = 8.0;
 /// Largest share of the Gaussians that is removed.
 const MOST_REMOVED: f32 = 0.6;
 /// Bits that a keypoint after a track's first takes in the file, as a share of its width. Measured on basketball.
@@ -66,31 +67,38 @@ pub(super) struct Visit {
     pub corrections: Vec<[[f32; 3]; 2]>,
 }
 
-/// Scenes that [`choose_quality`] measures at most: the floats, and a bisection of [`QUALITIES`].
-pub(super) const NUM_MEASURED: usize = 5;
+/// Scenes that [`choose_quality`] measures at most: the floats, and a bisection of the qualities.
+pub(super) const NUM_MEASURED: usize = 6;
 
 /// The lowest quality at which rounding and keypoints let the error grow by at most about a share of it.
 ///
 /// - `settings`: those of quality 0
+/// - `sparsity`: of the views ([`view_sparsity`](tcgs_train::view_sparsity))
 /// - `visited`: called after each visit of each scene that is measured
 pub(super) fn choose_quality(
     pruned: &PrunedScene<'_>,
     settings: &CompressSettings,
     visits: &[Visit],
     share: f32,
+    sparsity: f32,
     visited: &mut dyn FnMut(&Visit) -> Result<(), PipelineError>,
 ) -> Result<f32, PipelineError> {
     let mut scales = Scales { pruned, visits, visited };
     let most = f64::from(1.0 + share) * scales.error_of_floats()?;
     let quality = |step: i32| step as f32 / QUALITY_STEPS;
     // `high` is fine enough, or the finest there is; `low` is not fine enough.
-    let (mut low, mut high) = (QUALITIES.start - 1, QUALITIES.end - 1);
+    let (mut low, mut high) = (LOWEST - 1, highest(sparsity));
     while high - low > 1 {
         let middle = low.midpoint(high);
         let error = scales.error_of(&settings.clone().with_quality(quality(middle)))?;
         if error <= most { high = middle } else { low = middle }
     }
     Ok(quality(high))
+}
+
+/// The highest quality that is chosen, in steps.
+fn highest(sparsity: f32) -> i32 {
+    (HIGHEST * (1.0 - sparsity)).round() as i32
 }
 
 /// Weighs settings by training images.
@@ -178,4 +186,14 @@ fn costs(compact: &CompactScene) -> Vec<f32> {
         }
     }
     costs
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sparse_views_choose_no_finer_quality_than_0() {
+        assert_eq!([0.0, 0.5, 1.0].map(highest), [8, 4, 0]);
+    }
 }

@@ -296,10 +296,14 @@ impl<'a> Images<'a> {
 
     /// A refinement on these images.
     fn refiner(&self, compact: CompactScene, config: RefineConfig) -> Result<Refiner, PipelineError> {
+        Ok(Refiner::new(compact, &self.corrections, self.sparsity()?, config))
+    }
+
+    /// Sparsity of the first timestep's views.
+    fn sparsity(&self) -> Result<f32, PipelineError> {
         let cameras = self.capture.cameras(Split::Train, self.scene.first_frame, self.scene.downscale)?;
         let cameras: Vec<_> = cameras.into_iter().map(|(_, camera)| camera).collect();
-        let sparsity = view_sparsity(self.scene.at(0)?.means(), &cameras);
-        Ok(Refiner::new(compact, &self.corrections, sparsity, config))
+        Ok(view_sparsity(self.scene.at(0)?.means(), &cameras))
     }
 
     /// Quality and Gaussians, as an allowance has it.
@@ -318,7 +322,7 @@ impl<'a> Images<'a> {
         if let Some(share) = allowance.rounding {
             tell(observer, Event::Begun { work: Work::Measuring, num_steps: NUM_MEASURED * visits.len() })?;
             let mut visited = |visit: &Visit| tell(observer, Event::Frame(self.scene.first_frame + visit.timestep));
-            let quality = choose_quality(pruned, settings, &visits, share, &mut visited)?;
+            let quality = choose_quality(pruned, settings, &visits, share, self.sparsity()?, &mut visited)?;
             chosen.quality = Some(quality);
             chosen.settings = settings.clone().with_quality(quality);
         }

@@ -36,6 +36,7 @@ fn rounding_takes_the_error_that_is_allowed() {
     let finest = at(Some(-0.5));
     let allowed = [0.02, 0.15, 1.0].map(|share| (share, at(Some(share))));
     let coarsest = at(Some(1e6));
+    // Four cameras are sparse views, which have at most quality 0.
     assert_eq!((finest.quality, coarsest.quality, at(None).quality), (Some(0.0), Some(-2.0), None));
     for pair in [&allowed[0], &allowed[1], &allowed[2]].windows(2) {
         assert!(pair[0].1.quality >= pair[1].1.quality, "{:?} {:?}", pair[0].1.quality, pair[1].1.quality);
