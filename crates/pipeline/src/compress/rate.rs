@@ -14,7 +14,7 @@ use crate::PipelineError;
 /// Error that refinement is left to take back. Shares are of the mean squared error of training images.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Allowance {
-    /// Growth by rounding and keypoints: the quality is the lowest at which they cause about so much. None: the settings
+    /// Growth by rounding and keypoints: the quality is the lowest at which they cause about so much. None: settings
     /// stay. Default 0.15.
     pub rounding: Option<f32>,
     /// Growth by removal of Gaussians, of which those go first whose bytes lower the error least. Default 0.1; 0: all
@@ -51,8 +51,8 @@ const RECOVERY: f32 = 1000.0;
 const QUALITY_STEPS: f32 = 4.0;
 /// The lowest quality that is chosen, in steps. Below it SSIM falls faster than the squared error tells.
 const LOWEST: i32 = -8;
-/// The highest quality that is chosen, in steps. Where views are sparse it is 0: their images are fitted more closely than
-/// the scene, so rounding that shows in them need not show in others.
+/// The highest quality that is chosen, in steps. Where views are sparse it is 0: training fits their images more
+/// closely than the scene, so rounding that shows in them need not show in others.
 const HIGHEST: f32 = 8.0;
 /// Largest share of the Gaussians that is removed.
 const MOST_REMOVED: f32 = 0.6;
