@@ -103,8 +103,8 @@ pub struct Arguments {
     #[arg(long, default_value = "packed")]
     storage: Storage,
     /// Quality on one curve of settings, -6 to 8, instead of single settings. A quality 1 higher about halves the
-    /// errors and takes a fourth to a third more bytes [default: 0; of a refined file -2 to 2, so that rounding adds
-    /// 15 % to the squared error]
+    /// errors and takes a fourth to a third more bytes. A refined file has by default the one from -2 to 2 at which
+    /// rounding adds about 15 % to the squared error of training images [default: 0]
     #[arg(long, value_name = "Q", value_parser = target::quality, allow_negative_numbers = true)]
     #[arg(conflicts_with_all = SINGLE_SETTINGS)]
     quality: Option<f32>,

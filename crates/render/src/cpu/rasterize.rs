@@ -490,8 +490,10 @@ fn bwd<const C: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
                     g_y[l] += g_dy[l];
                     g_xy[l] = mul_add::<FUSED>(g_dy[l], dx, g_xy[l]);
                     g_yy[l] += g_dy2[l];
-                    s_x[l] = mul_add::<FUSED>(s_0[l], dx, s_x[l]);
-                    s_y[l] += s_dy[l];
+                    if PARTIAL {
+                        s_x[l] = mul_add::<FUSED>(s_0[l], dx, s_x[l]);
+                        s_y[l] += s_dy[l];
+                    }
                 }
             }
             let [a, b, c] = splat.conic;

@@ -17,13 +17,10 @@ use crate::{Laps, PairCounts, TileMask};
 /// Gaussians that one task projects.
 const CHUNK: usize = 1 << 10;
 
-/// Most parts whose pairs are made one beside another.
+/// Most parts of the splats, which make their pairs at the same time.
 const PARTS: usize = 16;
 
-/// The square of an ellipse's size in a column of tiles is widened by this factor ([`EXTENT_FACTOR`] squared).
-const SPAN_FACTOR: f64 = 1.002;
-
-/// Blending rounds the terms of the exponent. Their sum may be far smaller than they are: its error in terms of them.
+/// Error of the exponent in blending, relative to its terms. They are rounded, and their sum may be far smaller.
 const SPAN_ROUNDING: f64 = 1e-6;
 
 /// A splat that reaches at least one pixel.
@@ -60,7 +57,7 @@ impl Splat {
     }
 
     /// Half-open range of pixel rows that the splat reaches in each of its columns of tiles: where its ellipse
-    /// `a x² + 2 b x y + c y² = reach` meets them. Wide splats have fewer rows in a column than in all of them together.
+    /// `a x² + 2 b x y + c y² = reach` meets them. Wide splats have fewer rows in one column than in all together.
     ///
     /// - `see`: receives each column of tiles, and its rows
     #[inline(always)]
@@ -81,7 +78,7 @@ impl Splat {
         let [top, bottom] = self.rows.map(|row| f64::from(row) - y);
         let [width, height] = [end.max(-first), bottom.max(-top)];
         let rounding = SPAN_ROUNDING * (a * width * width + c * height * height);
-        let reach = reach(self.opacity) * SPAN_FACTOR + rounding;
+        let reach = reach(self.opacity) * f64::from(EXTENT_FACTOR).powi(2) + rounding;
         // The lowest and the highest point are this far aside. Half the height at `x` is the root of `square(x)`.
         let aside = b * (reach / (a * determinant)).sqrt();
         let (tilt, square) = (-b / c, |x: f64| reach / c - determinant / (c * c) * x * x);
@@ -145,7 +142,7 @@ fn reach(opacity: f32) -> f64 {
 /// Opacity up to which a splat's size has one bound. Dropout raises opacities above 1.
 const MOST_OPAQUE: f32 = 2.0;
 
-/// Tells Gaussians that no pixel shows by a bound of their splats' size. It is cheaper than a projection.
+/// Tells Gaussians beside the image by a bound of their splats' size, which is cheaper than a projection.
 struct Frame<'a> {
     camera: &'a SplatCamera<f32>,
     size: [f32; 2],

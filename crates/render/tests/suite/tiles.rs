@@ -146,7 +146,7 @@ fn every_pixel_shows_the_alpha_of_its_splat() {
         let Some(p) = project(mean, quat, scale, &splat_camera) else { continue };
         let kept = if alone.is_antialiased { p.kept_opacity() } else { 1.0 };
         let [a, b, c] = p.conic.map(f64::from);
-        num_beside += usize::from(!(0.0..250.0).contains(&p.mean2d[0]));
+        num_beside += usize::from(!(0.0..width as f32).contains(&p.mean2d[0]));
         for (pixel, &drawn) in output.image.data.iter().enumerate() {
             let dx = (pixel % width) as f64 + 0.5 - f64::from(p.mean2d[0]);
             let dy = (pixel / width) as f64 + 0.5 - f64::from(p.mean2d[1]);
