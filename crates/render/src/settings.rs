@@ -3,6 +3,9 @@
 /// Most channels that one pass blends.
 pub const MAX_CHANNELS: usize = 8;
 
+/// Channels that are colours, where others follow: red, green and blue before those of segmentation.
+pub const COLOR_CHANNELS: usize = 3;
+
 /// Gaussians whose centre is nearer than this (camera z, scene units) or behind are culled, because the projection's
 /// linearisation breaks down there.
 pub const NEAR: f64 = 0.2;
@@ -32,9 +35,12 @@ pub struct RenderSettings {
     /// Colour behind everything, one value per channel. Default: the Gaussians' own
     /// ([`Activated::background`](tcgs_core::Activated)).
     pub background: Option<[f32; MAX_CHANNELS]>,
-    /// Number of leading channels whose gradient the densification statistic counts. Default: 3, the colours, without
-    /// the segmentation that shares the pass.
+    /// Number of leading channels whose gradient the densification statistic counts: 0, [`COLOR_CHANNELS`] or all.
+    /// Default: the colours, without the segmentation that shares the pass.
     pub statistic_channels: usize,
+    /// Number of leading channels whose colours are learned. A renderer may leave the gradients to the other colours 0.
+    /// Default: all.
+    pub learned_channels: usize,
 }
 
 impl RenderSettings {
@@ -57,6 +63,6 @@ impl RenderSettings {
 
 impl Default for RenderSettings {
     fn default() -> Self {
-        Self { background: None, statistic_channels: 3 }
+        Self { background: None, statistic_channels: COLOR_CHANNELS, learned_channels: MAX_CHANNELS }
     }
 }

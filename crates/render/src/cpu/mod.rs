@@ -13,7 +13,7 @@ use std::time::Instant;
 use rayon::prelude::*;
 use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
 
-use self::rasterize::{TileImage, rasterize_bwd, rasterize_fwd, rasterize_weights};
+use self::rasterize::{TileImage, num_learned, rasterize_bwd, rasterize_fwd, rasterize_weights};
 use self::tiles::Tiles;
 pub use self::tiles::{count_pairs, gaussians_reaching, tiles_reached};
 use crate::project::{SplatCamera, kept_opacity_vjp, project_vjp};
@@ -199,7 +199,8 @@ impl CpuRasterizer {
         let n = gaussians.num_gaussians();
         assert_eq!(wanted.map_or(n, <[bool]>::len), n, "`wanted` against the Gaussians");
         let (tiles, colors) = (&tiles.0, &gaussians.colors);
-        let stride = PAIR_GRADS + gaussians.num_channels;
+        let num_learned = num_learned(settings, gaussians.num_channels);
+        let stride = PAIR_GRADS + num_learned;
         // Each tile's gradients are allocated by the thread that fills them, because one thread zeroes memory more
         // slowly than several.
         let v_pairs: Vec<Vec<f32>> = (0..tiles.starts.len() - 1)
@@ -217,7 +218,7 @@ impl CpuRasterizer {
             })
             .collect();
         laps.lap("rasterize backward");
-        let grads = gather(gaussians, camera, tiles, wanted, &v_pairs);
+        let grads = gather(gaussians, camera, tiles, wanted, num_learned, &v_pairs);
         laps.lap("project backward");
         grads
     }
@@ -391,16 +392,18 @@ const GATHERED: usize = 256;
 /// Adds up the pairs of each Gaussian and takes the sums back through the projection.
 ///
 /// - `wanted`: as for [`CpuRasterizer::backward_in`]
+/// - `num_learned`: number of channels in `v_pairs`
 /// - `v_pairs`: gradients of the pairs, one array per tile
 fn gather(
     gaussians: &Activated,
     camera: &Camera,
     tiles: &Tiles,
     wanted: Option<&[bool]>,
+    num_learned: usize,
     v_pairs: &[Vec<f32>],
 ) -> RenderGrads {
     let (n, channels) = (gaussians.num_gaussians(), gaussians.num_channels);
-    let stride = PAIR_GRADS + channels;
+    let stride = PAIR_GRADS + num_learned;
     let splat_camera = SplatCamera::new(camera);
     let half_size = [0.5 * camera.width as f32, 0.5 * camera.height as f32];
     let mut splat_of = vec![u32::MAX; n];

@@ -33,7 +33,7 @@ use tcgs_core::Image;
 
 use super::tiles::{Pair, Splat, Tiles};
 use crate::RenderSettings;
-use crate::settings::{MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE};
+use crate::settings::{COLOR_CHANNELS, MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE};
 use crate::tiling::{PAIR_GRADS, TILE};
 
 /// One value of each pixel of a tile, row by row.
@@ -49,13 +49,14 @@ fn mul_add<const FUSED: bool>(a: f32, b: f32, c: f32) -> f32 {
     if FUSED { a.mul_add(b, c) } else { a * b + c }
 }
 
-/// `2^−x` for `x >= 0`, to 2e-7 relative: a power of two by exponent bits and a degree-6 polynomial.
+/// `2^−x` for `0 <= x <= 32`, to 2e-7 relative: a power of two by exponent bits and a degree-6 polynomial.
 #[inline(always)]
 fn exp2_neg<const FUSED: bool>(x: f32) -> f32 {
     /// Adding this leaves an integer in the low mantissa bits.
     const MAGIC: f32 = 12_582_912.0;
-    /// Largest `x`, so that the least result is still a normal number.
-    const MOST: f32 = 120.0;
+    /// Largest `x`. What it leaves of any opacity is far below [`MIN_ALPHA`], and its products with gradients are still
+    /// normal numbers: subnormal ones take some processors a hundred times as long.
+    const MOST: f32 = 32.0;
     let x = if x < MOST { x } else { MOST };
     let shifted = MAGIC - x;
     let f = (MAGIC - shifted) - x;
@@ -269,17 +270,24 @@ fn fwd<const C: usize, const L: usize, const FUSED: bool>(
     TileImage { planes, transmittance }
 }
 
-/// One plane of an image, cut to a tile; zero outside the image.
+/// The planes of an image, cut to a tile; zero outside the image.
 #[inline(always)]
-fn cut(image: &Image, channel: usize, origin: [usize; 2]) -> Plane {
-    let plane = image.plane(channel);
-    let mut out = [0.0; TILE * TILE];
-    let width = TILE.min(image.width - origin[0]);
-    for row in 0..TILE.min(image.height - origin[1]) {
-        let line = &plane[(origin[1] + row) * image.width + origin[0]..][..width];
-        out[row * TILE..][..width].copy_from_slice(line);
+fn cut<const C: usize>(image: &Image, origin: [usize; 2]) -> [Plane; C] {
+    let mut planes = [[0.0; TILE * TILE]; C];
+    for (channel, out) in planes.iter_mut().enumerate() {
+        for (row, line) in lines(image, channel, origin) {
+            out[row * TILE..][..line.len()].copy_from_slice(line);
+        }
     }
-    out
+    planes
+}
+
+/// The rows of a tile in one plane of an image, as far as they lie in the image.
+#[inline(always)]
+fn lines(image: &Image, channel: usize, origin: [usize; 2]) -> impl Iterator<Item = (usize, &[f32])> {
+    let width = TILE.min(image.width - origin[0]);
+    let rows = image.plane(channel).chunks_exact(image.width).skip(origin[1]).take(TILE);
+    rows.map(move |row| &row[origin[0]..][..width]).enumerate()
 }
 
 /// Sum of the lanes, by halving.
@@ -300,7 +308,7 @@ fn sum<const L: usize>(mut lanes: [f32; L]) -> f32 {
 /// - `colors`: `[N, C]`
 /// - `image`, `v_image`: `[C, H, W]`, the finished image and its gradient
 /// - `wanted`: `[N]`, whether the gradients of a Gaussian's pairs are computed; `None` for all
-/// - `v_pairs`: `[pairs of the tile, PAIR_GRADS + C]`, zeros
+/// - `v_pairs`: `[pairs of the tile, PAIR_GRADS + num_learned]`, zeros
 #[multiversion(targets("x86_64+avx2+fma+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
 pub(super) fn rasterize_bwd<const C: usize>(
     tiles: &Tiles,
@@ -319,6 +327,11 @@ pub(super) fn rasterize_bwd<const C: usize>(
     }
 }
 
+/// Number of leading channels whose colours have a gradient.
+pub(super) fn num_learned(settings: &RenderSettings, num_channels: usize) -> usize {
+    if settings.learned_channels <= COLOR_CHANNELS { num_channels.min(COLOR_CHANNELS) } else { num_channels }
+}
+
 /// [`rasterize_bwd`] in runs of `L` pixels. The statistic has separate sums only if it counts some channels and not
 /// all.
 #[inline(always)]
@@ -332,49 +345,53 @@ fn bwd_counting<const C: usize, const L: usize, const FUSED: bool>(
     wanted: Option<&[bool]>,
     v_pairs: &mut [f32],
 ) {
-    if (1..C).contains(&settings.statistic_channels) {
-        bwd::<C, L, FUSED, true>(tiles, tile, colors, settings, image, v_image, wanted, v_pairs);
-    } else {
-        bwd::<C, L, FUSED, false>(tiles, tile, colors, settings, image, v_image, wanted, v_pairs);
+    let is_partial = (1..C).contains(&settings.statistic_channels);
+    macro_rules! bwd {
+        ($learned:ident, $partial:literal) => {
+            bwd::<C, $learned, L, FUSED, $partial>(tiles, tile, colors, settings, image, v_image, wanted, v_pairs)
+        };
+    }
+    match (is_partial, num_learned(settings, C) == C) {
+        (true, true) => bwd!(C, true),
+        (true, false) => bwd!(COLOR_CHANNELS, true),
+        (false, true) => bwd!(C, false),
+        (false, false) => bwd!(COLOR_CHANNELS, false),
     }
 }
 
-/// `Σ channels color · v` at a run of pixels.
+/// `Σ channels color · v` at a run of pixels: of all channels, and of the statistic's if `PARTIAL`.
 #[inline(always)]
-fn shown<const C: usize, const L: usize, const FUSED: bool>(
+fn shown<const C: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
     color: &[f32; C],
     v_planes: &[Plane; C],
     at: usize,
-) -> [f32; L] {
-    let mut own = [0.0; L];
+) -> [[f32; L]; 2] {
+    let (mut own, mut own_statistic) = ([0.0; L], [0.0; L]);
     for c in 0..C {
+        if PARTIAL && c == COLOR_CHANNELS {
+            own_statistic = own;
+        }
         let v = run::<L>(&v_planes[c], at);
         for l in 0..L {
             own[l] = mul_add::<FUSED>(color[c], v[l], own[l]);
         }
     }
-    own
+    [own, own_statistic]
 }
 
 /// Takes what a splat shows at a run of pixels from what lies behind the splats before it.
 #[inline(always)]
-fn take_away<const C: usize, const L: usize, const FUSED: bool>(
-    color: &[f32; C],
-    v_planes: &[Plane; C],
-    weights: &[f32; L],
-    behind: &mut Plane,
-    at: usize,
-) {
-    let own = shown::<C, L, FUSED>(color, v_planes, at);
+fn take_away<const L: usize, const FUSED: bool>(weights: &[f32; L], own: &[f32; L], behind: &mut Plane, at: usize) {
     let behind = run_mut::<L>(behind, at);
     for l in 0..L {
         behind[l] = mul_add::<FUSED>(-weights[l], own[l], behind[l]);
     }
 }
 
+/// - `K`: [`num_learned`]
 /// - `PARTIAL`: whether the statistic counts some channels and not all
 #[inline(always)]
-fn bwd<const C: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
+fn bwd<const C: usize, const K: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
     tiles: &Tiles,
     tile: usize,
     colors: &[f32],
@@ -392,31 +409,31 @@ fn bwd<const C: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
     };
     let origin = origin(tiles, tile);
     let mut transmittance = start_transmittance(origin, image.width, image.height);
-    let v_planes: [Plane; C] = std::array::from_fn(|channel| cut(v_image, channel, origin));
+    let v_planes: [Plane; C] = cut(v_image, origin);
     // Σ over channels of image · v_image, minus the part blended so far: for all channels, and for the statistic's
     // alone.
     let mut behind = [0.0; TILE * TILE];
     let mut behind_statistic = [0.0; TILE * TILE];
     for (channel, v_plane) in v_planes.iter().enumerate() {
-        let plane = cut(image, channel, origin);
-        for i in 0..TILE * TILE {
-            behind[i] += plane[i] * v_plane[i];
-            if PARTIAL && channel < settings.statistic_channels {
-                behind_statistic[i] += plane[i] * v_plane[i];
+        if PARTIAL && channel == COLOR_CHANNELS {
+            behind_statistic = behind;
+        }
+        for (row, line) in lines(image, channel, origin) {
+            let ends = row * TILE..row * TILE + line.len();
+            for ((behind, &color), &v) in behind[ends.clone()].iter_mut().zip(line).zip(&v_plane[ends]) {
+                *behind += color * v;
             }
         }
     }
-    let statistic: [f32; C] = std::array::from_fn(|c| f32::from(u8::from(c < settings.statistic_channels)));
 
     let mut batch: Vec<Taken<C>> = Vec::with_capacity(BATCH);
-    for (pairs, v_pairs) in pairs[..=last].chunks(BATCH).zip(v_pairs.chunks_mut(BATCH * (PAIR_GRADS + C))) {
+    for (pairs, v_pairs) in pairs[..=last].chunks(BATCH).zip(v_pairs.chunks_mut(BATCH * (PAIR_GRADS + K))) {
         if finished(&transmittance) {
             break;
         }
         take_batch::<C>(tiles, pairs, colors, &mut batch);
-        for (taken, v_pair) in batch.iter().zip(v_pairs.chunks_exact_mut(PAIR_GRADS + C)) {
+        for (taken, v_pair) in batch.iter().zip(v_pairs.chunks_exact_mut(PAIR_GRADS + K)) {
             let Taken { splat, color, .. } = taken;
-            let statistic_color: [f32; C] = std::array::from_fn(|c| color[c] * statistic[c]);
             let (runs, rows) = taken.runs::<L>(origin[0]);
             let left = origin[0] as f32 + 0.5 - splat.mean2d[0];
             let zero = [0.0; L];
@@ -427,9 +444,11 @@ fn bwd<const C: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
                         let at = row * TILE + column * L;
                         let x = left + (column * L) as f32;
                         let weights = blend_run::<L, FUSED>(terms, x, run_mut(&mut transmittance, at));
-                        take_away::<C, L, FUSED>(color, &v_planes, &weights, &mut behind, at);
+                        let [own, own_statistic] =
+                            shown::<C, L, FUSED, PARTIAL>(color, &v_planes, at);
+                        take_away::<L, FUSED>(&weights, &own, &mut behind, at);
                         if PARTIAL {
-                            take_away::<C, L, FUSED>(&statistic_color, &v_planes, &weights, &mut behind_statistic, at);
+                            take_away::<L, FUSED>(&weights, &own_statistic, &mut behind_statistic, at);
                         }
                     }
                 }
@@ -438,7 +457,7 @@ fn bwd<const C: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
             // Moments of g = −∂L/∂exponent about the splat's centre.
             let (mut g_sum, mut g_x, mut g_y, mut g_xx, mut g_xy, mut g_yy) = (zero, zero, zero, zero, zero, zero);
             let (mut s_x, mut s_y) = (zero, zero);
-            let mut v_color = [zero; C];
+            let mut v_color = [zero; K];
             for column in runs {
                 let x = left + (column * L) as f32;
                 // A lane has the same dx in all rows, so its factors come after the sums over rows.
@@ -450,35 +469,36 @@ fn bwd<const C: usize, const L: usize, const FUSED: bool, const PARTIAL: bool>(
                     let transmittance = run_mut::<L>(&mut transmittance, at);
                     let behind = run_mut::<L>(&mut behind, at);
                     let behind_statistic = run_mut::<L>(&mut behind_statistic, at);
-                    let own = shown::<C, L, FUSED>(color, &v_planes, at);
-                    let own_statistic =
-                        if PARTIAL { shown::<C, L, FUSED>(&statistic_color, &v_planes, at) } else { zero };
-                    let mut weights = zero;
+                    let v: [&[f32; L]; C] = std::array::from_fn(|c| run::<L>(&v_planes[c], at));
+                    // One loop: of several short ones the compiler would mix the lanes.
                     for l in 0..L {
+                        let (mut own, mut own_statistic) = (0.0, 0.0);
+                        for c in 0..C {
+                            if PARTIAL && c == COLOR_CHANNELS {
+                                own_statistic = own;
+                            }
+                            own = mul_add::<FUSED>(color[c], v[c][l], own);
+                        }
                         let blended = blend::<FUSED>(terms, x + l as f32, transmittance[l]);
                         transmittance[l] = blended.transmittance;
                         let (weight, alpha) = (blended.blend_weight, blended.alpha);
-                        weights[l] = weight;
-                        behind[l] = mul_add::<FUSED>(-weight, own[l], behind[l]);
+                        for c in 0..K {
+                            v_color[c][l] = mul_add::<FUSED>(weight, v[c][l], v_color[c][l]);
+                        }
+                        behind[l] = mul_add::<FUSED>(-weight, own, behind[l]);
                         let moves = (weight > 0.0) & !blended.clamped;
                         let ratio = alpha / (1.0 - alpha);
-                        let g = mul_add::<FUSED>(-ratio, behind[l], weight * own[l]);
+                        let g = mul_add::<FUSED>(-ratio, behind[l], weight * own);
                         let g = if moves { g } else { 0.0 };
                         g_0[l] += g;
                         g_dy[l] = mul_add::<FUSED>(g, dy, g_dy[l]);
                         g_dy2[l] = mul_add::<FUSED>(g, dy * dy, g_dy2[l]);
                         if PARTIAL {
-                            behind_statistic[l] = mul_add::<FUSED>(-weight, own_statistic[l], behind_statistic[l]);
-                            let s = mul_add::<FUSED>(-ratio, behind_statistic[l], weight * own_statistic[l]);
+                            behind_statistic[l] = mul_add::<FUSED>(-weight, own_statistic, behind_statistic[l]);
+                            let s = mul_add::<FUSED>(-ratio, behind_statistic[l], weight * own_statistic);
                             let s = if moves { s } else { 0.0 };
                             s_0[l] += s;
                             s_dy[l] = mul_add::<FUSED>(s, dy, s_dy[l]);
-                        }
-                    }
-                    for c in 0..C {
-                        let v = run::<L>(&v_planes[c], at);
-                        for l in 0..L {
-                            v_color[c][l] = mul_add::<FUSED>(weights[l], v[l], v_color[c][l]);
                         }
                     }
                 }
@@ -545,7 +565,7 @@ fn weights<const C: usize, const L: usize, const FUSED: bool>(
 ) {
     let origin = origin(tiles, tile);
     let mut transmittance = start_transmittance(origin, shares.width, shares.height);
-    let planes: [Plane; C] = std::array::from_fn(|channel| cut(shares, channel, origin));
+    let planes: [Plane; C] = cut(shares, origin);
     let mut batch: Vec<Taken<0>> = Vec::with_capacity(BATCH);
     for (pairs, sums) in tiles.pairs_of(tile).chunks(BATCH).zip(sums.chunks_mut(BATCH * C)) {
         if finished(&transmittance) {
@@ -584,7 +604,7 @@ mod tests {
 
     #[test]
     fn exp2_neg_follows_exp2() {
-        for i in 0..90_000 {
+        for i in 0..32_000 {
             let x = i as f32 * 1e-3;
             let expected = (-f64::from(x)).exp2();
             for found in [exp2_neg::<true>(x), exp2_neg::<false>(x)].map(f64::from) {

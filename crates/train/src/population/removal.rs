@@ -10,6 +10,7 @@ use tcgs_core::{
     Activated, Camera, Gaussians, Image, Pinhole, View, activate, cameras_around, seen_colors, squared_distance,
 };
 use tcgs_metrics::psnr;
+use tcgs_render::settings::MAX_CHANNELS;
 use tcgs_render::{CpuRasterizer, CpuTiles, Rasterizer, RenderSettings};
 
 use super::unseen::are_in_images;
@@ -31,7 +32,8 @@ const SMALL: usize = 90;
 const FROM_AROUND: f32 = 4.0;
 
 /// Without the statistic of densification.
-const SETTINGS: RenderSettings = RenderSettings { background: None, statistic_channels: 0 };
+const SETTINGS: RenderSettings =
+    RenderSettings { background: None, statistic_channels: 0, learned_channels: MAX_CHANNELS };
 
 /// Gaussians at one timestep, and the images that they should match.
 #[derive(Clone, Copy, Debug)]

@@ -16,6 +16,7 @@ use tcgs_core::{
     Activated, ActivatedGrads, Camera, GaussianGrads, Gaussians, Image, Sensitivity, activate, activate_bwd, normalize,
     seen_colors, seen_colors_bwd,
 };
+use tcgs_render::settings::COLOR_CHANNELS;
 use tcgs_render::{CpuRasterizer, Laps, Rasterizer, RenderGrads, RenderSettings, StageTimes};
 
 use self::stage::Stage;
@@ -418,11 +419,13 @@ pub(crate) fn drop_out(opacities: &mut [f32], dropout: Dropout) {
     opacities.par_iter_mut().enumerate().with_min_len(CHUNK).for_each(|(i, x)| *x *= dropout.factor(i as u32));
 }
 
-/// Render settings of an iteration: the densification statistic is computed only if it is counted.
+/// Render settings of an iteration: the densification statistic is computed only if it is counted, and segmentation is
+/// not learned.
 fn settings_of(step: &Step<'_>) -> RenderSettings {
     let settings = RenderSettings::default();
     RenderSettings {
         statistic_channels: if step.counts_gradients { settings.statistic_channels } else { 0 },
+        learned_channels: COLOR_CHANNELS,
         ..settings
     }
 }
