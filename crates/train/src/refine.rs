@@ -200,15 +200,15 @@ impl Refiner {
                 let mut sum = (0.0, 0);
                 for i in 0..piece.starts.len() - 1 {
                     let track = piece.first_track + i;
+                    // Gaussians outside of the view do not change.
+                    if v_values[track] == 0.0 {
+                        continue;
+                    }
                     let quantizers = by_width[usize::from(widths[track / components])];
                     let Some(quantizer) = quantizers.get(track % components) else { continue };
                     let range = piece.starts[i] - piece.starts[0]..piece.starts[i + 1] - piece.starts[0];
                     let (before, fraction) = locate(&piece.times[range.clone()], timestep);
                     let v_code = v_values[track] * quantizer.step;
-                    // Gaussians outside of the view do not change.
-                    if v_code == 0.0 {
-                        continue;
-                    }
                     for (keypoint, share) in [(before, 1.0 - fraction), (before + 1, fraction)] {
                         if share > 0.0 {
                             let latent = &mut piece.latents[range.start + keypoint];

@@ -14,10 +14,10 @@ use rayon::prelude::*;
 use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
 
 use self::rasterize::{TileImage, num_learned, rasterize_bwd, rasterize_fwd, rasterize_weights};
-use self::tiles::Tiles;
+use self::tiles::{Splat, Tiles};
 pub use self::tiles::{count_pairs, gaussians_reaching, tiles_reached};
 use crate::project::{SplatCamera, kept_opacity_vjp, project_vjp};
-use crate::settings::MAX_CHANNELS;
+use crate::settings::{COLOR_CHANNELS, MAX_CHANNELS};
 use crate::tiling::{PAIR_GRADS, TILE, tile_grid};
 use crate::{Draw, Laps, PairCounts, Rasterizer, RenderGrads, RenderOutput, RenderSettings, TileMask};
 
@@ -180,7 +180,8 @@ impl CpuRasterizer {
     /// - `laps`: gets the stages `rasterize backward` and `project backward`
     ///
     /// # Panics
-    /// If `image` or `v_image` has a different shape from the drawn image, or `wanted` another length than `N`.
+    /// If `image` or `v_image` has a different shape from the drawn image, `wanted` another length than `N`, or
+    /// `settings.statistic_channels` another value than its documented ones.
     #[allow(clippy::too_many_arguments, reason = "a forward pass, its results, and the gradient to them")]
     pub fn backward_in(
         &self,
@@ -196,6 +197,9 @@ impl CpuRasterizer {
         let shape = |i: &Image| [i.num_channels, i.height, i.width];
         let drawn = [gaussians.num_channels, camera.height, camera.width];
         assert_eq!([shape(image), shape(v_image)], [drawn; 2], "image and v_image against what was drawn");
+        let (counted, channels) = (settings.statistic_channels, gaussians.num_channels);
+        let is_known = [0, COLOR_CHANNELS].contains(&counted) || counted >= channels;
+        assert!(is_known, "a statistic of {counted} of {channels} channels, expected 0, {COLOR_CHANNELS} or all");
         let n = gaussians.num_gaussians();
         assert_eq!(wanted.map_or(n, <[bool]>::len), n, "`wanted` against the Gaussians");
         let (tiles, colors) = (&tiles.0, &gaussians.colors);
@@ -385,8 +389,9 @@ fn draw<const C: usize>(
     });
 }
 
-/// Gaussians whose pairs are added up before any is taken through the projection. Their rows lie far apart, and a loop
-/// that only adds can wait for many cache misses at once.
+/// Gaussians, or splats, that a task handles together. The sums of all its Gaussians are copied before any of them is
+/// taken through the projection: these rows lie far apart, and a loop that only copies can wait for many cache misses
+/// at once.
 const GATHERED: usize = 256;
 
 /// Adds up the pairs of each Gaussian and takes the sums back through the projection.
@@ -406,13 +411,28 @@ fn gather(
     let stride = PAIR_GRADS + num_learned;
     let splat_camera = SplatCamera::new(camera);
     let half_size = [0.5 * camera.width as f32, 0.5 * camera.height as f32];
+    let is_wanted = |splat: &Splat| wanted.is_none_or(|wanted| wanted[splat.gaussian as usize]);
     let mut splat_of = vec![u32::MAX; n];
     for (index, splat) in tiles.splats.iter().enumerate() {
-        let gaussian = splat.gaussian as usize;
-        if wanted.is_none_or(|wanted| wanted[gaussian]) {
-            splat_of[gaussian] = index as u32;
+        if is_wanted(splat) {
+            splat_of[splat.gaussian as usize] = index as u32;
         }
     }
+    // In the order of depths the pairs of each tile follow one another, so their cache lines are still at hand.
+    let sums: Vec<Vec<f32>> = (tiles.splats.par_chunks(GATHERED).enumerate())
+        .map(|(chunk, splats)| {
+            let mut sums = vec![0.0; splats.len() * stride];
+            for (i, (sums, splat)) in sums.chunks_exact_mut(stride).zip(splats).enumerate() {
+                let ends = &tiles.splat_starts[chunk * GATHERED + i..][..2];
+                let pairs = if is_wanted(splat) { ends[0] as usize..ends[1] as usize } else { 0..0 };
+                for &[tile, position] in &tiles.splat_pairs[pairs] {
+                    let v_pair = &v_pairs[tile as usize][position as usize * stride..][..stride];
+                    sums.iter_mut().zip(v_pair).for_each(|(sum, value)| *sum += value);
+                }
+            }
+            sums
+        })
+        .collect();
     let mut grads = RenderGrads {
         activated: ActivatedGrads {
             v_means: vec![[0.0; 3]; n],
@@ -438,24 +458,16 @@ fn gather(
         .into_par_iter()
         .enumerate()
         .for_each(|(chunk, (splats, v_means, v_quats, v_scales, v_opacities, v_colors, v_ndc, visible))| {
-            let mut sums = [[0.0; PAIR_GRADS]; GATHERED];
+            let mut own = [[0.0; PAIR_GRADS]; GATHERED];
             for (i, &splat) in splats.iter().enumerate().filter(|(_, splat)| **splat != u32::MAX) {
-                let first = tiles.splat_starts[splat as usize] as usize;
-                let end = tiles.splat_starts[splat as usize + 1] as usize;
-                for &[tile, position] in &tiles.splat_pairs[first..end] {
-                    let v_pairs = &v_pairs[tile as usize];
-                    let (v_pair, v_pair_color) = v_pairs[position as usize * stride..][..stride].split_at(PAIR_GRADS);
-                    for (sum, value) in sums[i].iter_mut().zip(v_pair) {
-                        *sum += value;
-                    }
-                    for (sum, value) in v_colors[i * channels..][..channels].iter_mut().zip(v_pair_color) {
-                        *sum += value;
-                    }
-                }
+                let row = &sums[splat as usize / GATHERED][splat as usize % GATHERED * stride..][..stride];
+                let (of_splat, of_colors) = row.split_at(PAIR_GRADS);
+                own[i].copy_from_slice(of_splat);
+                v_colors[i * channels..][..num_learned].copy_from_slice(of_colors);
             }
             for (i, _) in splats.iter().enumerate().filter(|(_, splat)| **splat != u32::MAX) {
                 let gaussian = chunk * GATHERED + i;
-                let [x, y, xx, xy, yy, opacity, statistic_x, statistic_y] = sums[i];
+                let [x, y, xx, xy, yy, opacity, statistic_x, statistic_y] = own[i];
                 let (mut v_conic, mut v_opacity) = ([xx, xy, yy], opacity);
                 if gaussians.is_antialiased {
                     let splat = &tiles.splats[splat_of[gaussian] as usize];

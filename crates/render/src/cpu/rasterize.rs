@@ -444,8 +444,7 @@ fn bwd<const C: usize, const K: usize, const L: usize, const FUSED: bool, const 
                         let at = row * TILE + column * L;
                         let x = left + (column * L) as f32;
                         let weights = blend_run::<L, FUSED>(terms, x, run_mut(&mut transmittance, at));
-                        let [own, own_statistic] =
-                            shown::<C, L, FUSED, PARTIAL>(color, &v_planes, at);
+                        let [own, own_statistic] = shown::<C, L, FUSED, PARTIAL>(color, &v_planes, at);
                         take_away::<L, FUSED>(&weights, &own, &mut behind, at);
                         if PARTIAL {
                             take_away::<L, FUSED>(&weights, &own_statistic, &mut behind_statistic, at);
@@ -609,6 +608,17 @@ mod tests {
             let expected = (-f64::from(x)).exp2();
             for found in [exp2_neg::<true>(x), exp2_neg::<false>(x)].map(f64::from) {
                 assert!((found / expected - 1.0).abs() < 4e-7, "{x}: {found} against {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn far_from_a_splat_products_stay_normal() {
+        // A gradient of the image is a weight divided by the number of values.
+        let gradient = 1e-9_f32;
+        for x in [32.0, 1e3, f32::MAX] {
+            for least in [exp2_neg::<true>(x), exp2_neg::<false>(x)] {
+                assert!((least * MIN_TRANSMITTANCE as f32 * gradient).is_normal() && least < 0.1 * MIN_ALPHA as f32);
             }
         }
     }

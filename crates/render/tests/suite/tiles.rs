@@ -1,11 +1,11 @@
 //! Rendering some tiles of an image against rendering all of it.
 
 use crate::support::{random_scene, test_camera};
-use tcgs_core::{Activated, Image, normalize};
+use tcgs_core::{Activated, ActivatedGrads, Image, normalize};
 use tcgs_render::settings::{MAX_ALPHA, MIN_ALPHA};
 use tcgs_render::{
-    CpuRasterizer, CpuTiles, Laps, Rasterizer, RenderSettings, SplatCamera, TileMask, count_pairs, gaussians_reaching,
-    project, tiles_reached,
+    CpuRasterizer, CpuTiles, Laps, Rasterizer, RenderGrads, RenderSettings, SplatCamera, TileMask, count_pairs,
+    gaussians_reaching, project, tiles_reached,
 };
 
 const SIZE: [usize; 2] = [75, 52];
@@ -61,8 +61,8 @@ fn gradients_of_some_gaussians_have_the_bits_of_those_of_all() {
     let gaussians = random_scene(300, 5, 3);
     let wanted: Vec<bool> = (0..300).map(|i| i % 3 == 1).collect();
     let (chosen, others): (Vec<usize>, Vec<usize>) = (0..300).partition(|&i| wanted[i]);
-    for statistic_channels in [0, 3, 5] {
-        let settings = RenderSettings { statistic_channels, ..RenderSettings::default() };
+    for (statistic_channels, learned_channels) in [(0, 3), (0, 5), (3, 3), (3, 5), (5, 3), (5, 5)] {
+        let settings = RenderSettings { statistic_channels, learned_channels, ..RenderSettings::default() };
         let (mask, laps) = (TileMask::all(SIZE[0], SIZE[1]), &mut Laps::begin());
         let mut image = Image::filled(SIZE[0], SIZE[1], 5, 0.0);
         let tiles = CpuRasterizer.forward_in(&gaussians, &camera, &settings, &mask, &mut image, laps);
@@ -77,6 +77,31 @@ fn gradients_of_some_gaussians_have_the_bits_of_those_of_all() {
         let rest = some.activated.select(&others, 5);
         assert!(rest.v_means.iter().all(|v| *v == [0.0; 3]) && rest.v_colors.iter().all(|v| *v == 0.0));
     }
+}
+
+#[test]
+fn colours_that_are_not_learned_have_no_gradient_and_change_no_other() {
+    let camera = test_camera(SIZE[0], SIZE[1]);
+    let gaussians = random_scene(300, 5, 3);
+    let settings = RenderSettings::default();
+    let Ok((output, saved)) = CpuRasterizer.forward(&gaussians, &camera, &settings);
+    let mut v_image = output.image.clone();
+    v_image.data.iter_mut().enumerate().for_each(|(i, v)| *v = (0.37 * i as f32).sin() + 0.3);
+    let backward = |learned_channels| {
+        let settings = RenderSettings { learned_channels, ..settings.clone() };
+        let Ok(grads) = CpuRasterizer.backward(&gaussians, &camera, &settings, &saved, &v_image);
+        grads
+    };
+    let (all, three) = (backward(5), backward(3));
+    for (found, expected) in three.activated.v_colors.chunks(5).zip(all.activated.v_colors.chunks(5)) {
+        assert_eq!([&found[..3], &found[3..]], [&expected[..3], &[0.0; 2]]);
+    }
+    assert!(all.activated.v_colors.chunks(5).any(|colors| colors[3] != 0.0));
+    let without_colors = |grads: &RenderGrads| RenderGrads {
+        activated: ActivatedGrads { v_colors: Vec::new(), ..grads.activated.clone() },
+        ..grads.clone()
+    };
+    assert_eq!(without_colors(&three), without_colors(&all));
 }
 
 #[test]
