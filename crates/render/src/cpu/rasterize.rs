@@ -87,6 +87,23 @@ impl RowTerms {
     }
 }
 
+/// Alphas of a splat in a run of pixels, before they are clamped. They do not depend on what is in front, so the rows of
+/// a splat come one after another before any is blended: the processor overlaps these long chains of operations, which
+/// it cannot do with the longer ones of blending between them.
+///
+/// - `x`: `dx` of the first pixel
+#[inline(always)]
+fn raw_alphas<const L: usize, const FUSED: bool>(terms: RowTerms, x: f32) -> [f32; L] {
+    let mut raws = [0.0; L];
+    for l in 0..L {
+        let dx = x + l as f32;
+        let exponent = mul_add::<FUSED>(mul_add::<FUSED>(terms.aa, dx, terms.b_dy), dx, terms.cc_dy2);
+        let exponent = if exponent > 0.0 { exponent } else { 0.0 };
+        raws[l] = terms.opacity * exp2_neg::<FUSED>(exponent);
+    }
+    raws
+}
+
 /// Effect of one splat on one pixel.
 struct Blend {
     alpha: f32,
@@ -99,11 +116,10 @@ struct Blend {
 }
 
 /// Blends a splat into a pixel.
+///
+/// - `raw`: from [`raw_alphas`]
 #[inline(always)]
-fn blend<const FUSED: bool>(terms: RowTerms, dx: f32, before: f32) -> Blend {
-    let exponent = mul_add::<FUSED>(mul_add::<FUSED>(terms.aa, dx, terms.b_dy), dx, terms.cc_dy2);
-    let exponent = if exponent > 0.0 { exponent } else { 0.0 };
-    let raw = terms.opacity * exp2_neg::<FUSED>(exponent);
+fn blend<const FUSED: bool>(raw: f32, before: f32) -> Blend {
     let clamped = raw > MAX_ALPHA as f32;
     let alpha = if clamped { MAX_ALPHA as f32 } else { raw };
     let weight = alpha * before;
@@ -121,13 +137,11 @@ fn blend<const FUSED: bool>(terms: RowTerms, dx: f32, before: f32) -> Blend {
 }
 
 /// Blends a splat into a run of pixels. Returns its blending weights.
-///
-/// - `x`: `dx` of the first pixel
 #[inline(always)]
-fn blend_run<const L: usize, const FUSED: bool>(terms: RowTerms, x: f32, transmittance: &mut [f32; L]) -> [f32; L] {
+fn blend_run<const L: usize, const FUSED: bool>(raws: &[f32; L], transmittance: &mut [f32; L]) -> [f32; L] {
     let mut weights = [0.0; L];
     for l in 0..L {
-        let blended = blend::<FUSED>(terms, x + l as f32, transmittance[l]);
+        let blended = blend::<FUSED>(raws[l], transmittance[l]);
         weights[l] = blended.blend_weight;
         transmittance[l] = blended.transmittance;
     }
@@ -150,6 +164,25 @@ impl<const C: usize> Taken<C> {
         let [first, end] = self.splat.columns.map(|column| column as usize);
         let [top, bottom] = self.rows.map(usize::from);
         (first.saturating_sub(left) / L..(end - left).min(TILE).div_ceil(L), top..bottom)
+    }
+
+    /// [`raw_alphas`] in some rows of a run of columns. Overwrites these rows.
+    ///
+    /// - `origin`: of the tile, pixels
+    #[inline(always)]
+    fn raw_alphas<const L: usize, const FUSED: bool>(
+        &self,
+        origin: [usize; 2],
+        column: usize,
+        rows: Range<usize>,
+        raws: &mut [[f32; L]; TILE],
+    ) {
+        let splat = &self.splat;
+        let x = origin[0] as f32 + 0.5 - splat.mean2d[0] + (column * L) as f32;
+        for row in rows {
+            let dy = (origin[1] + row) as f32 + 0.5 - splat.mean2d[1];
+            raws[row] = raw_alphas::<L, FUSED>(RowTerms::new(splat, dy), x);
+        }
     }
 }
 
@@ -235,21 +268,20 @@ fn fwd<const C: usize, const L: usize, const FUSED: bool>(
     let mut transmittance = start_transmittance(origin, width, height);
     let mut planes = [[0.0; TILE * TILE]; C];
     let mut batch: Vec<Taken<C>> = Vec::with_capacity(BATCH);
+    let mut raws = [[0.0; L]; TILE];
     for pairs in tiles.pairs_of(tile).chunks(BATCH) {
         if finished(&transmittance) {
             break;
         }
         take_batch::<C>(tiles, pairs, colors, &mut batch);
-        for taken @ Taken { splat, color, .. } in &batch {
+        for taken in &batch {
             let (runs, rows) = taken.runs::<L>(origin[0]);
-            let left = origin[0] as f32 + 0.5 - splat.mean2d[0];
-            for row in rows {
-                let terms = RowTerms::new(splat, (origin[1] + row) as f32 + 0.5 - splat.mean2d[1]);
-                for column in runs.clone() {
+            for column in runs {
+                taken.raw_alphas::<L, FUSED>(origin, column, rows.clone(), &mut raws);
+                for row in rows.clone() {
                     let at = row * TILE + column * L;
-                    let x = left + (column * L) as f32;
-                    let weights = blend_run::<L, FUSED>(terms, x, run_mut(&mut transmittance, at));
-                    for (plane, &color) in planes.iter_mut().zip(color) {
+                    let weights = blend_run::<L, FUSED>(&raws[row], run_mut(&mut transmittance, at));
+                    for (plane, &color) in planes.iter_mut().zip(&taken.color) {
                         let plane = run_mut::<L>(plane, at);
                         for l in 0..L {
                             plane[l] = mul_add::<FUSED>(weights[l], color, plane[l]);
@@ -427,6 +459,7 @@ fn bwd<const C: usize, const K: usize, const L: usize, const FUSED: bool, const 
     }
 
     let mut batch: Vec<Taken<C>> = Vec::with_capacity(BATCH);
+    let mut raws = [[0.0; L]; TILE];
     for (pairs, v_pairs) in pairs[..=last].chunks(BATCH).zip(v_pairs.chunks_mut(BATCH * (PAIR_GRADS + K))) {
         if finished(&transmittance) {
             break;
@@ -438,12 +471,11 @@ fn bwd<const C: usize, const K: usize, const L: usize, const FUSED: bool, const 
             let left = origin[0] as f32 + 0.5 - splat.mean2d[0];
             let zero = [0.0; L];
             if !is_wanted(splat.gaussian) {
-                for row in rows {
-                    let terms = RowTerms::new(splat, (origin[1] + row) as f32 + 0.5 - splat.mean2d[1]);
-                    for column in runs.clone() {
+                for column in runs {
+                    taken.raw_alphas::<L, FUSED>(origin, column, rows.clone(), &mut raws);
+                    for row in rows.clone() {
                         let at = row * TILE + column * L;
-                        let x = left + (column * L) as f32;
-                        let weights = blend_run::<L, FUSED>(terms, x, run_mut(&mut transmittance, at));
+                        let weights = blend_run::<L, FUSED>(&raws[row], run_mut(&mut transmittance, at));
                         let [own, own_statistic] = shown::<C, L, FUSED, PARTIAL>(color, &v_planes, at);
                         take_away::<L, FUSED>(&weights, &own, &mut behind, at);
                         if PARTIAL {
@@ -459,11 +491,11 @@ fn bwd<const C: usize, const K: usize, const L: usize, const FUSED: bool, const 
             let mut v_color = [zero; K];
             for column in runs {
                 let x = left + (column * L) as f32;
+                taken.raw_alphas::<L, FUSED>(origin, column, rows.clone(), &mut raws);
                 // A lane has the same dx in all rows, so its factors come after the sums over rows.
                 let (mut g_0, mut g_dy, mut g_dy2, mut s_0, mut s_dy) = (zero, zero, zero, zero, zero);
                 for row in rows.clone() {
                     let dy = (origin[1] + row) as f32 + 0.5 - splat.mean2d[1];
-                    let terms = RowTerms::new(splat, dy);
                     let at = row * TILE + column * L;
                     let transmittance = run_mut::<L>(&mut transmittance, at);
                     let behind = run_mut::<L>(&mut behind, at);
@@ -478,7 +510,7 @@ fn bwd<const C: usize, const K: usize, const L: usize, const FUSED: bool, const 
                             }
                             own = mul_add::<FUSED>(color[c], v[c][l], own);
                         }
-                        let blended = blend::<FUSED>(terms, x + l as f32, transmittance[l]);
+                        let blended = blend::<FUSED>(raws[row][l], transmittance[l]);
                         transmittance[l] = blended.transmittance;
                         let (weight, alpha) = (blended.blend_weight, blended.alpha);
                         for c in 0..K {
@@ -566,22 +598,21 @@ fn weights<const C: usize, const L: usize, const FUSED: bool>(
     let mut transmittance = start_transmittance(origin, shares.width, shares.height);
     let planes: [Plane; C] = cut(shares, origin);
     let mut batch: Vec<Taken<0>> = Vec::with_capacity(BATCH);
+    let mut raws = [[0.0; L]; TILE];
     for (pairs, sums) in tiles.pairs_of(tile).chunks(BATCH).zip(sums.chunks_mut(BATCH * C)) {
         if finished(&transmittance) {
             sums.fill(0.0);
             continue;
         }
         take_batch::<0>(tiles, pairs, &[], &mut batch);
-        for (taken @ Taken { splat, .. }, sums) in batch.iter().zip(sums.chunks_exact_mut(C)) {
+        for (taken, sums) in batch.iter().zip(sums.chunks_exact_mut(C)) {
             let (runs, rows) = taken.runs::<L>(origin[0]);
-            let left = origin[0] as f32 + 0.5 - splat.mean2d[0];
             let mut lanes = [[0.0; L]; C];
-            for row in rows {
-                let terms = RowTerms::new(splat, (origin[1] + row) as f32 + 0.5 - splat.mean2d[1]);
-                for column in runs.clone() {
+            for column in runs {
+                taken.raw_alphas::<L, FUSED>(origin, column, rows.clone(), &mut raws);
+                for row in rows.clone() {
                     let at = row * TILE + column * L;
-                    let x = left + (column * L) as f32;
-                    let weights = blend_run::<L, FUSED>(terms, x, run_mut(&mut transmittance, at));
+                    let weights = blend_run::<L, FUSED>(&raws[row], run_mut(&mut transmittance, at));
                     for (lanes, plane) in lanes.iter_mut().zip(&planes) {
                         let shares = run::<L>(plane, at);
                         for l in 0..L {
