@@ -72,21 +72,29 @@ pub fn image_loss_in(
     // A gradient depends on the map's values within a window's radius, and these on pixels within another.
     const HALO: usize = 2 * SSIM_RADIUS;
     let widened = |range: Range<usize>, end: usize| range.start.saturating_sub(HALO)..(range.end + HALO).min(end);
-    for [columns, rows] in rectangles(mask, 2 * HALO) {
-        let columns = columns.start * TILE..(columns.end * TILE).min(width);
-        let rows = rows.start * TILE..(rows.end * TILE).min(height);
-        let [wide, high] = [widened(columns.clone(), width), widened(rows.clone(), height)];
-        let crop = |image: &Image| image.crop(wide.clone(), high.clone());
-        let loss = loss_of(&crop(rendered), &crop(target), gain, offset, weights, rendered.num_pixels());
+    // Small rectangles have too little work for all threads, so they are computed beside one another.
+    let losses: Vec<_> = rectangles(mask, 2 * HALO)
+        .into_par_iter()
+        .map(|[columns, rows]| {
+            let columns = columns.start * TILE..(columns.end * TILE).min(width);
+            let rows = rows.start * TILE..(rows.end * TILE).min(height);
+            let [wide, high] = [widened(columns.clone(), width), widened(rows.clone(), height)];
+            let crop = |image: &Image| image.crop(wide.clone(), high.clone());
+            let loss = loss_of(&crop(rendered), &crop(target), gain, offset, weights, rendered.num_pixels());
+            let inner =
+                [columns.start - wide.start..columns.end - wide.start, rows.start - high.start..rows.end - high.start];
+            (loss, [columns, rows], inner)
+        })
+        .collect();
+    for (loss, [columns, rows], [inner_columns, inner_rows]) in losses {
+        let wide = loss.v_image.width;
         for channel in 0..rendered.num_channels {
             let (from, to) = (loss.v_image.plane(channel), v_image.plane_mut(channel));
-            for row in rows.clone() {
-                let line = &from[(row - high.start) * wide.len()..][..wide.len()];
-                to[row * width..][columns.clone()]
-                    .copy_from_slice(&line[columns.start - wide.start..][..columns.len()]);
+            for (row, inner_row) in rows.clone().zip(inner_rows.clone()) {
+                to[row * width..][columns.clone()].copy_from_slice(&from[inner_row * wide..][inner_columns.clone()]);
             }
         }
-        let share = (wide.len() * high.len()) as f64 / rendered.num_pixels() as f64;
+        let share = loss.v_image.num_pixels() as f64 / rendered.num_pixels() as f64;
         sum.image += share * loss.image;
         sum.segmentation += share * loss.segmentation;
     }
