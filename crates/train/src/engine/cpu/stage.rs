@@ -1,5 +1,6 @@
 //! A view of a timestep that trains a part of the scene: its rows drawn among all that is locked, in some tiles.
 
+use rayon::prelude::*;
 use tcgs_core::{Activated, Image};
 use tcgs_render::{CpuRasterizer, Laps, RenderGrads, TileMask};
 
@@ -39,7 +40,7 @@ impl Stage {
             }
             Self { tiles, drawn, places, is_trained, picture }
         };
-        views.into_iter().map(of).collect()
+        views.into_par_iter().map(of).collect()
     }
 
     /// Overwrites the values of the state's rows.
