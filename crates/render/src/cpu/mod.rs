@@ -389,8 +389,9 @@ fn draw<const C: usize>(
     });
 }
 
-/// Gaussians, or splats, that a task handles together. It copies the sums of all its Gaussians before it takes the first
-/// through the projection. The sums lie far apart, and a loop that only copies can wait for many cache misses at once.
+/// Gaussians, or splats, that a task handles together. It copies the sums of all its Gaussians before it takes the
+/// first through the projection. The sums lie far apart, and a loop that only copies can wait for many cache misses at
+/// once.
 const GATHERED: usize = 256;
 
 /// Adds up the pairs of each Gaussian and takes the sums back through the projection.

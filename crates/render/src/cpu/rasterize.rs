@@ -53,8 +53,8 @@ static LEVEL: LazyLock<Level> = LazyLock::new(Level::new);
 fn exp2_neg<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     /// Adding this leaves an integer in the low mantissa bits.
     const MAGIC: f32 = 12_582_912.0;
-    /// Largest `x`: an opacity of 1 becomes far less than [`MIN_ALPHA`]. Products of smaller powers with gradients would
-    /// be subnormal numbers, which take some processors a hundred times as long.
+    /// Largest `x`: an opacity of 1 becomes far less than [`MIN_ALPHA`]. Products of smaller powers with gradients
+    /// would be subnormal numbers, which take some processors a hundred times as long.
     const MOST: f32 = 32.0;
     let x = x.min(MOST);
     let magic = S::f32s::splat(simd, MAGIC);
