@@ -60,7 +60,8 @@ pub trait Rasterizer {
     /// As [`Self::forward`].
     ///
     /// # Panics
-    /// If `v_image` has another shape than the rendered image.
+    /// If `v_image` has another shape than the rendered image; on the CPU also if
+    /// [`RenderSettings::statistic_channels`] has another value than its documented ones.
     fn backward(
         &self,
         gaussians: &Activated,
