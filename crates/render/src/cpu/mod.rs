@@ -3,6 +3,7 @@
 //! Sums that could depend on the order of threads use a fixed order: a tile writes the gradients of its pairs, then
 //! each Gaussian adds up its own pairs in tile order.
 
+mod blend;
 mod rasterize;
 mod tiles;
 
