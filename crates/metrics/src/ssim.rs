@@ -58,12 +58,21 @@ const SPAN: usize = 128;
 /// One row of a span.
 type Row = [f32; SPAN];
 
-/// State that [`ssim_fwd`] saves for [`ssim_bwd`]: three values per value of the image.
+/// One row of a span, and what the window sees beside it.
+type Seen = [f32; SPAN + 2 * RADIUS];
+
+/// State that the forward pass saves for the backward pass: three values per value of the image.
 #[derive(Clone, Debug, Default)]
 pub struct SsimSaved {
-    /// Strips of the channels, one after another, each `[rows, 3, W]`: derivatives of the map to `mean_x`, `square_x`
-    /// and `product`. Every strip is allocated by the thread that fills it.
+    /// Strips of the channels, one after another, each `[rows, 3, saved_len(W)]`: derivatives of the map to `mean_x`,
+    /// `square_x` and `product`. Every strip is allocated by the thread that fills it.
     strips: Vec<Vec<f32>>,
+}
+
+/// Length of a saved row: zeros as far as the window sees, the values, and zeros up to the end of a span that begins at
+/// any column. So the backward pass needs no copies.
+fn saved_len(width: usize) -> usize {
+    width + SPAN + 2 * RADIUS
 }
 
 /// SSIM, averaged over pixels, then channels.
@@ -100,24 +109,10 @@ pub fn ssim(rendered: &Image, target: &Image) -> f64 {
 /// # Panics
 /// If the images differ in shape or have no values.
 pub fn ssim_fwd(rendered: &Image, target: &Image) -> (Vec<f64>, SsimSaved) {
-    assert_same_shape(rendered, target);
-    assert!(!rendered.data.is_empty(), "ssim of an image without values");
-    let (width, num_pixels) = (rendered.width, rendered.num_pixels());
-    let strips_per_channel = rendered.height.div_ceil(STRIP_ROWS);
-    let (sums, strips): (Vec<f64>, Vec<Vec<f32>>) = (0..rendered.num_channels * strips_per_channel)
-        .into_par_iter()
-        .map(|strip| {
-            let (channel, first_row) = (strip / strips_per_channel, strip % strips_per_channel * STRIP_ROWS);
-            let mut partials = vec![0.0; STRIP_ROWS.min(rendered.height - first_row) * 3 * width];
-            let sum = strip_fwd(width, first_row, rendered.plane(channel), target.plane(channel), &mut partials);
-            (sum, partials)
-        })
-        .unzip();
-    let means = sums.chunks(strips_per_channel).map(|sums| sums.iter().sum::<f64>() / num_pixels as f64).collect();
-    (means, SsimSaved { strips })
+    ImagePair::new(rendered, target).ssim_fwd()
 }
 
-/// Backward of [`ssim_fwd`]. *Accumulates* into `v_rendered`.
+/// Backward of [`ssim_fwd`]. *Overwrites* `v_rendered`.
 ///
 /// - `saved`: of the same images
 /// - `v_ssim`: `[C]`, gradient to each channel's mean
@@ -126,31 +121,141 @@ pub fn ssim_fwd(rendered: &Image, target: &Image) -> (Vec<f64>, SsimSaved) {
 /// # Panics
 /// If shapes disagree.
 pub fn ssim_bwd(rendered: &Image, target: &Image, saved: &SsimSaved, v_ssim: &[f32], v_rendered: &mut Image) {
+    assert_same_shape(rendered, v_rendered);
     let v_map: Vec<f32> = v_ssim.iter().map(|v| v / rendered.num_pixels() as f32).collect();
-    ssim_map_bwd(rendered, target, saved, &v_map, v_rendered);
+    let whole = [0..rendered.width, 0..rendered.height];
+    ImagePair::new(rendered, target).ssim_map_bwd(saved, &v_map, whole, &mut v_rendered.data, |_, _, _| ());
 }
 
-/// Backward of the map of [`ssim_fwd`] before its mean is taken, for images that are cut from larger ones.
-/// *Accumulates* into `v_rendered`.
-///
-/// - `saved`: of the same images
-/// - `v_map`: `[C]`, gradient to the map, the same at every pixel of a channel
-/// - `v_rendered`: `[C, H, W]`, gradient to `rendered`
-///
-/// # Panics
-/// If shapes disagree.
-pub fn ssim_map_bwd(rendered: &Image, target: &Image, saved: &SsimSaved, v_map: &[f32], v_rendered: &mut Image) {
-    assert_same_shape(rendered, target);
-    assert_same_shape(rendered, v_rendered);
-    assert_eq!(v_map.len(), rendered.num_channels, "a gradient of [{}] against [C]", v_map.len());
-    let num_saved: usize = saved.strips.iter().map(Vec::len).sum();
-    assert_eq!(num_saved, 3 * rendered.data.len(), "saved for [C, H, 3, W] of another image");
-    let strips_per_channel = rendered.height.div_ceil(STRIP_ROWS);
-    let (width, num_pixels) = (rendered.width, rendered.num_pixels());
-    strips(&mut v_rendered.data, num_pixels, width).into_par_iter().for_each(|(channel, first_row, v_rows)| {
-        let partials = &saved.strips[channel * strips_per_channel..][..strips_per_channel];
-        strip_bwd(width, first_row, rendered.plane(channel), target.plane(channel), partials, v_map[channel], v_rows);
-    });
+/// A rendered image and its target, as a training compares them: with a camera's gain and offset, and in a window.
+/// Nothing is copied for either.
+#[derive(Clone, Debug)]
+pub struct ImagePair<'a> {
+    rendered: &'a Image,
+    target: &'a Image,
+    /// `[C]` factors and offsets of the rendered image; empty for 1 and 0.
+    correction: &'a [[f32; 2]],
+    /// Columns and rows.
+    window: [Range<usize>; 2],
+}
+
+impl<'a> ImagePair<'a> {
+    /// - `rendered`, `target`: `[C, H, W]`, of any size, not clamped
+    ///
+    /// # Panics
+    /// If the images differ in shape.
+    pub fn new(rendered: &'a Image, target: &'a Image) -> Self {
+        assert_same_shape(rendered, target);
+        Self { rendered, target, correction: &[], window: [0..rendered.width, 0..rendered.height] }
+    }
+
+    /// Compares `factor * rendered + offset`.
+    ///
+    /// - `correction`: `[C]` factors and offsets
+    ///
+    /// # Panics
+    /// If there is another number of them.
+    pub fn corrected(self, correction: &'a [[f32; 2]]) -> Self {
+        assert_eq!(correction.len(), self.rendered.num_channels, "factors and offsets of [C]");
+        Self { correction, ..self }
+    }
+
+    /// Compares some columns and rows, as if the images had no others.
+    ///
+    /// # Panics
+    /// If they reach beyond the images.
+    pub fn within(self, columns: Range<usize>, rows: Range<usize>) -> Self {
+        assert!(columns.end <= self.rendered.width && rows.end <= self.rendered.height, "a window of the images");
+        Self { window: [columns, rows], ..self }
+    }
+
+    /// Width and height of the window, pixels.
+    pub fn size(&self) -> [usize; 2] {
+        self.window.each_ref().map(ExactSizeIterator::len)
+    }
+
+    /// A row of the window, in both images, before the correction.
+    pub fn row(&self, channel: usize, row: usize) -> [&'a [f32]; 2] {
+        let [columns, rows] = &self.window;
+        [self.rendered, self.target]
+            .map(|image| &image.plane(channel)[(rows.start + row) * image.width..][columns.clone()])
+    }
+
+    /// Factor and offset of a channel.
+    pub fn correction_of(&self, channel: usize) -> [f32; 2] {
+        self.correction.get(channel).copied().unwrap_or([1.0, 0.0])
+    }
+
+    fn moments(&self, channel: usize) -> Moments<'a> {
+        let [width, height] = self.size();
+        let [columns, rows] = &self.window;
+        let [x, y] =
+            [self.rendered, self.target].map(|image| &image.plane(channel)[rows.start * image.width + columns.start..]);
+        Moments { width, height, stride: self.rendered.width, x, y, correction: self.correction_of(channel) }
+    }
+
+    /// SSIM of each channel, averaged over the pixels of the window.
+    ///
+    /// - returns: `[C]`, and what [`Self::ssim_map_bwd`] needs
+    ///
+    /// # Panics
+    /// If the window has no pixels.
+    pub fn ssim_fwd(&self) -> (Vec<f64>, SsimSaved) {
+        let [width, height] = self.size();
+        assert!(width * height > 0 && self.rendered.num_channels > 0, "ssim of an image without values");
+        let strips_per_channel = height.div_ceil(STRIP_ROWS);
+        let (sums, strips): (Vec<f64>, Vec<Vec<f32>>) = (0..self.rendered.num_channels * strips_per_channel)
+            .into_par_iter()
+            .map(|strip| {
+                let (channel, first_row) = (strip / strips_per_channel, strip % strips_per_channel * STRIP_ROWS);
+                let mut partials = vec![0.0; STRIP_ROWS.min(height - first_row) * 3 * saved_len(width)];
+                let sum = strip_fwd(self.moments(channel), first_row, &mut partials);
+                (sum, partials)
+            })
+            .unzip();
+        let num_pixels = (width * height) as f64;
+        let means = sums.chunks(strips_per_channel).map(|sums| sums.iter().sum::<f64>() / num_pixels).collect();
+        (means, SsimSaved { strips })
+    }
+
+    /// Backward of the map of [`Self::ssim_fwd`] before its mean is taken, in a part of the window.
+    ///
+    /// - `saved`: of the same pair
+    /// - `v_map`: `[C]`, gradient to the map, the same at every pixel of a channel
+    /// - `part`: columns and rows of the window
+    /// - `v_part`: `[C, rows, columns]`, gradient to these pixels after the correction; overwritten
+    /// - `finish`: gets each row of `v_part`, with its channel and its number, while it is in the processor's cache
+    /// - returns: `[C, rows]` what `finish` returns
+    ///
+    /// # Panics
+    /// If shapes disagree.
+    pub fn ssim_map_bwd<T: Send>(
+        &self,
+        saved: &SsimSaved,
+        v_map: &[f32],
+        part: [Range<usize>; 2],
+        v_part: &mut [f32],
+        finish: impl Fn(usize, usize, &mut [f32]) -> T + Sync,
+    ) -> Vec<T> {
+        let (channels, [width, height], [columns, rows]) = (self.rendered.num_channels, self.size(), part);
+        assert!(columns.end <= width && rows.end <= height, "a part of the window");
+        assert_eq!(v_part.len(), channels * rows.len() * columns.len(), "gradient to the part");
+        assert_eq!(v_map.len(), channels, "a gradient of [{}] against [C]", v_map.len());
+        let num_saved: usize = saved.strips.iter().map(Vec::len).sum();
+        assert_eq!(num_saved, channels * height * 3 * saved_len(width), "saved for another image");
+        let strips_per_channel = height.div_ceil(STRIP_ROWS);
+        let finished: Vec<Vec<T>> = strips(v_part, rows.len() * columns.len(), columns.len())
+            .into_par_iter()
+            .map(|(channel, first_row, v_rows)| {
+                let partials = &saved.strips[channel * strips_per_channel..][..strips_per_channel];
+                let moments = self.moments(channel);
+                strip_bwd(moments, columns.clone(), rows.start + first_row, partials, v_map[channel], v_rows);
+                let v_rows = v_rows.chunks_mut(columns.len()).enumerate();
+                v_rows.map(|(row, v_row)| finish(channel, first_row + row, v_row)).collect()
+            })
+            .collect();
+        finished.into_iter().flatten().collect()
+    }
 }
 
 /// The map and its second factor, `(2 covariance + C2) / (variance_x + variance_y + C2)`, averaged over the pixels
@@ -168,7 +273,7 @@ pub(crate) fn inner_means(rendered: &Image, target: &Image) -> Vec<(f64, f64)> {
         let strips: Vec<(f64, f64)> = (inner_rows.clone().into_par_iter().step_by(STRIP_ROWS))
             .map(|first_row| {
                 let num_rows = STRIP_ROWS.min(inner_rows.end - first_row);
-                inner_sums(width, first_row, num_rows, rendered.plane(channel), target.plane(channel))
+                inner_sums(ImagePair::new(rendered, target).moments(channel), first_row, num_rows)
             })
             .collect();
         let sum = strips.into_iter().fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
@@ -190,62 +295,74 @@ fn strips(data: &mut [f32], channel_len: usize, row_len: usize) -> Vec<(usize, u
 
 /// Fills the derivatives of one strip and returns the map's sum over it.
 ///
-/// - `x`, `y`: `[H, W]`, rendered and target
-/// - `partials`: `[rows, 3, W]`
+/// - `partials`: `[rows, 3, saved_len(W)]`, zeros
 #[multiversion(targets("x86_64+avx2+fma+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-fn strip_fwd(width: usize, first_row: usize, x: &[f32], y: &[f32], partials: &mut [f32]) -> f64 {
+fn strip_fwd(moments: Moments<'_>, first_row: usize, partials: &mut [f32]) -> f64 {
+    let (columns, height) = (0..moments.width, moments.height);
+    let rows = first_row..first_row + partials.len() / (3 * saved_len(moments.width));
+    let mut pass = Forward { moments, partials, sum: 0.0 };
     if target_cfg_f!(target_feature = "fma") {
-        strip_fwd_in::<true>(width, first_row, x, y, partials)
+        filter::<4, true>(columns, rows, height, &mut pass);
     } else {
-        strip_fwd_in::<false>(width, first_row, x, y, partials)
+        filter::<4, false>(columns, rows, height, &mut pass);
     }
-}
-
-/// [`strip_fwd`], with fused multiply-adds or without.
-#[inline(always)]
-fn strip_fwd_in<const FUSED: bool>(width: usize, first_row: usize, x: &[f32], y: &[f32], partials: &mut [f32]) -> f64 {
-    let num_rows = partials.len() / (3 * width);
-    let mut pass = Forward { moments: Moments { width, x, y }, partials, sum: 0.0 };
-    filter::<4, FUSED>(width, first_row, num_rows, x.len() / width, &mut pass);
     pass.sum
 }
 
 /// Input and output of [`filter`]. It is a trait, although closures would read better, because closures are compiled
 /// separately, without the processor's features.
 trait Pass<const K: usize, const FUSED: bool> {
-    /// Writes the `K` quantities of some columns of one row of the image.
-    fn fill(&self, row: usize, columns: Range<usize>, padded: [&mut [f32]; K]);
+    /// The `K` quantities in one row of the image: of a span that begins at a column, and of what the window sees
+    /// beside it; zero beyond the image.
+    ///
+    /// - `own`: memory for them, which holds zeros or another row of the same span
+    fn see<'a>(&'a self, row: usize, begin: usize, own: &'a mut [Seen; K]) -> [&'a Seen; K];
 
     /// Takes the filtered quantities of some columns of one row of the strip; values beyond the columns are undefined.
     fn take(&mut self, row: usize, columns: Range<usize>, stats: &[Row; K]);
 }
 
-/// Both images, the sum of their squares and their product.
+/// Both images, the sum of their squares and their product, in one channel of a window.
 struct Moments<'a> {
     width: usize,
-    /// `[H, W]`, rendered.
+    height: usize,
+    /// From a row to the next.
+    stride: usize,
+    /// From the window's first pixel on: the rendered image before the correction.
     x: &'a [f32],
-    /// `[H, W]`, target.
+    /// From the window's first pixel on: the target.
     y: &'a [f32],
+    /// Factor and offset of `x`.
+    correction: [f32; 2],
 }
 
 impl Moments<'_> {
+    /// Some columns of a row, in both images.
     #[inline(always)]
-    fn fill<const FUSED: bool>(&self, row: usize, columns: Range<usize>, padded: [&mut [f32]; 4]) {
-        let [px, py, squares, product] = padded.map(|quantity| &mut quantity[..columns.len()]);
-        let [x, y] = [self.x, self.y].map(|image| &image[row * self.width..][columns.clone()]);
+    fn pixels(&self, row: usize, columns: Range<usize>) -> [&[f32]; 2] {
+        [self.x, self.y].map(|image| &image[row * self.stride..][columns.clone()])
+    }
+
+    /// [`Pass::see`]
+    #[inline(always)]
+    fn see<'a, const FUSED: bool>(&self, row: usize, begin: usize, own: &'a mut [Seen; 4]) -> [&'a Seen; 4] {
+        let columns = begin.saturating_sub(RADIUS)..(begin + SPAN + RADIUS).min(self.width);
+        let at = columns.start + RADIUS - begin;
+        let [px, py, squares, product] = own.each_mut().map(|quantity| &mut quantity[at..at + columns.len()]);
+        let ([x, y], [factor, offset]) = (self.pixels(row, columns), self.correction);
         for i in 0..x.len() {
-            let (x, y) = (x[i], y[i]);
+            let (x, y) = (factor * x[i] + offset, y[i]);
             (px[i], py[i]) = (x, y);
             (squares[i], product[i]) = (mul_add::<FUSED>(x, x, y * y), x * y);
         }
+        own.each_ref()
     }
 }
 
 /// The formula.
 struct Forward<'a> {
     moments: Moments<'a>,
-    /// `[rows, 3, W]`
+    /// `[rows, 3, saved_len(W)]`
     partials: &'a mut [f32],
     /// Sum of the map.
     sum: f64,
@@ -253,45 +370,32 @@ struct Forward<'a> {
 
 impl<const FUSED: bool> Pass<4, FUSED> for Forward<'_> {
     #[inline(always)]
-    fn fill(&self, row: usize, columns: Range<usize>, padded: [&mut [f32]; 4]) {
-        self.moments.fill::<FUSED>(row, columns, padded);
+    fn see<'a>(&'a self, row: usize, begin: usize, own: &'a mut [Seen; 4]) -> [&'a Seen; 4] {
+        self.moments.see::<FUSED>(row, begin, own)
     }
 
     #[inline(always)]
     fn take(&mut self, row: usize, columns: Range<usize>, stats: &[Row; 4]) {
-        let width = self.moments.width;
-        let (map, derivatives) = span_fwd::<FUSED>(stats);
-        let out = &mut self.partials[row * 3 * width..][..3 * width];
-        for (out, values) in out.chunks_exact_mut(width).zip(&derivatives) {
-            out[columns.clone()].copy_from_slice(&values[..columns.len()]);
-        }
+        let length = saved_len(self.moments.width);
+        let (v_mean, rest) = self.partials[row * 3 * length..][..3 * length].split_at_mut(length);
+        let (v_square, v_product) = rest.split_at_mut(length);
+        let mut spans = [v_mean, v_square, v_product].map(|row| span_mut(row, RADIUS + columns.start));
+        let map = span_fwd::<FUSED>(stats, spans.each_mut().map(|span| &mut **span));
         self.sum += sum_of(&map[..columns.len()]);
+        spans.iter_mut().for_each(|span| span[columns.len()..].fill(0.0));
     }
 }
 
 /// Sums of the map and of its second factor over the inner pixels of some rows.
-///
-/// - `x`, `y`: `[H, W]`, rendered and target
 #[multiversion(targets("x86_64+avx2+fma+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-fn inner_sums(width: usize, first_row: usize, num_rows: usize, x: &[f32], y: &[f32]) -> (f64, f64) {
+fn inner_sums(moments: Moments<'_>, first_row: usize, num_rows: usize) -> (f64, f64) {
+    let (columns, rows, height) = (0..moments.width, first_row..first_row + num_rows, moments.height);
+    let mut pass = Inner { moments, whole: 0.0, structure: 0.0 };
     if target_cfg_f!(target_feature = "fma") {
-        inner_sums_in::<true>(width, first_row, num_rows, x, y)
+        filter::<4, true>(columns, rows, height, &mut pass);
     } else {
-        inner_sums_in::<false>(width, first_row, num_rows, x, y)
+        filter::<4, false>(columns, rows, height, &mut pass);
     }
-}
-
-/// [`inner_sums`], with fused multiply-adds or without.
-#[inline(always)]
-fn inner_sums_in<const FUSED: bool>(
-    width: usize,
-    first_row: usize,
-    num_rows: usize,
-    x: &[f32],
-    y: &[f32],
-) -> (f64, f64) {
-    let mut pass = Inner { moments: Moments { width, x, y }, whole: 0.0, structure: 0.0 };
-    filter::<4, FUSED>(width, first_row, num_rows, x.len() / width, &mut pass);
     (pass.whole, pass.structure)
 }
 
@@ -306,8 +410,8 @@ struct Inner<'a> {
 
 impl<const FUSED: bool> Pass<4, FUSED> for Inner<'_> {
     #[inline(always)]
-    fn fill(&self, row: usize, columns: Range<usize>, padded: [&mut [f32]; 4]) {
-        self.moments.fill::<FUSED>(row, columns, padded);
+    fn see<'a>(&'a self, row: usize, begin: usize, own: &'a mut [Seen; 4]) -> [&'a Seen; 4] {
+        self.moments.see::<FUSED>(row, begin, own)
     }
 
     #[inline(always)]
@@ -343,11 +447,13 @@ fn sum_of(values: &[f32]) -> f64 {
     lanes.iter().sum()
 }
 
-/// The formula, from filtered statistics: the map and its three derivatives, in one row of a span.
+/// The formula, from filtered statistics: writes the map's three derivatives in one row of a span. Returns the map.
 #[inline(always)]
-fn span_fwd<const FUSED: bool>([mean_x, mean_y, squares, product]: &[Row; 4]) -> (Row, [Row; 3]) {
+fn span_fwd<const FUSED: bool>(
+    [mean_x, mean_y, squares, product]: &[Row; 4],
+    [v_mean, v_square, v_product]: [&mut Row; 3],
+) -> Row {
     let mut map = [0.0; SPAN];
-    let [mut v_mean, mut v_square, mut v_product] = [[0.0; SPAN]; 3];
     for i in 0..SPAN {
         let (x, y) = (mean_x[i], mean_y[i]);
         let means = mul_add::<FUSED>(x, x, y * y);
@@ -363,52 +469,38 @@ fn span_fwd<const FUSED: bool>([mean_x, mean_y, squares, product]: &[Row; 4]) ->
         v_product[i] = 2.0 * a1 * inverse;
         map[i] = ssim;
     }
-    (map, [v_mean, v_square, v_product])
+    map
 }
 
-/// Adds one strip's gradient: `G*v_mean + 2 x (G*v_square) + y (G*v_product)`, the window being its own transpose.
+/// Overwrites one strip's gradient: `G*v_mean + 2 x (G*v_square) + y (G*v_product)`, the window being its own
+/// transpose.
 ///
-/// - `partials`: the strips of the channel, `[rows, 3, W]` each
-/// - `v_rows`: `[rows, W]`
+/// - `columns`: where the gradient is wanted
+/// - `partials`: the strips of the channel, `[rows, 3, saved_len(W)]` each
+/// - `v_rows`: `[rows, columns]`
 #[multiversion(targets("x86_64+avx2+fma+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
 fn strip_bwd(
-    width: usize,
+    moments: Moments<'_>,
+    columns: Range<usize>,
     first_row: usize,
-    x: &[f32],
-    y: &[f32],
     partials: &[Vec<f32>],
     v_map: f32,
     v_rows: &mut [f32],
 ) {
+    let (rows, height) = (first_row..first_row + v_rows.len() / columns.len(), moments.height);
+    let mut pass = Backward { moments, columns: columns.clone(), first_row, partials, v_map, v_rows };
     if target_cfg_f!(target_feature = "fma") {
-        strip_bwd_in::<true>(width, first_row, x, y, partials, v_map, v_rows);
+        filter::<3, true>(columns, rows, height, &mut pass);
     } else {
-        strip_bwd_in::<false>(width, first_row, x, y, partials, v_map, v_rows);
+        filter::<3, false>(columns, rows, height, &mut pass);
     }
-}
-
-/// [`strip_bwd`], with fused multiply-adds or without.
-#[inline(always)]
-fn strip_bwd_in<const FUSED: bool>(
-    width: usize,
-    first_row: usize,
-    x: &[f32],
-    y: &[f32],
-    partials: &[Vec<f32>],
-    v_map: f32,
-    v_rows: &mut [f32],
-) {
-    let num_rows = v_rows.len() / width;
-    let mut pass = Backward { width, first_row, x, y, partials, v_map, v_rows };
-    filter::<3, FUSED>(width, first_row, num_rows, x.len() / width, &mut pass);
 }
 
 /// The gradient; fields as the arguments of [`strip_bwd`].
 struct Backward<'a> {
-    width: usize,
+    moments: Moments<'a>,
+    columns: Range<usize>,
     first_row: usize,
-    x: &'a [f32],
-    y: &'a [f32],
     partials: &'a [Vec<f32>],
     v_map: f32,
     v_rows: &'a mut [f32],
@@ -416,21 +508,22 @@ struct Backward<'a> {
 
 impl<const FUSED: bool> Pass<3, FUSED> for Backward<'_> {
     #[inline(always)]
-    fn fill(&self, row: usize, columns: Range<usize>, padded: [&mut [f32]; 3]) {
-        let partials = &self.partials[row / STRIP_ROWS][row % STRIP_ROWS * 3 * self.width..][..3 * self.width];
-        for (padded, row) in padded.into_iter().zip(split::<3>(self.width, partials)) {
-            padded.copy_from_slice(&row[columns.clone()]);
-        }
+    fn see<'a>(&'a self, row: usize, begin: usize, _: &'a mut [Seen; 3]) -> [&'a Seen; 3] {
+        let length = saved_len(self.moments.width);
+        let row = &self.partials[row / STRIP_ROWS][row % STRIP_ROWS * 3 * length..][..3 * length];
+        std::array::from_fn(|k| first_of(&row[k * length + begin..]))
     }
 
     #[inline(always)]
     fn take(&mut self, row: usize, columns: Range<usize>, [v_mean, v_square, v_product]: &[Row; 3]) {
-        let start = (self.first_row + row) * self.width;
-        let [x, y] = [self.x, self.y].map(|image| &image[start..][columns.clone()]);
-        let v_row = &mut self.v_rows[row * self.width..][columns];
+        let v_row = &mut self.v_rows[row * self.columns.len()..][..self.columns.len()];
+        let v_row = &mut v_row[columns.start - self.columns.start..columns.end - self.columns.start];
+        let [x, y] = self.moments.pixels(self.first_row + row, columns);
+        let [factor, offset] = self.moments.correction;
         for (i, (v, (&x, &y))) in v_row.iter_mut().zip(x.iter().zip(y)).enumerate() {
+            let x = factor * x + offset;
             let of_square = mul_add::<FUSED>(2.0 * x, v_square[i], v_mean[i]);
-            *v += self.v_map * mul_add::<FUSED>(y, v_product[i], of_square);
+            *v = self.v_map * mul_add::<FUSED>(y, v_product[i], of_square);
         }
     }
 }
@@ -442,31 +535,28 @@ fn mul_add<const FUSED: bool>(a: f32, b: f32, c: f32) -> f32 {
 }
 
 /// Filters `K` quantities with the window, span by span and row by row.
+///
+/// - `columns`, `rows`: where the filtered quantities are wanted
+/// - `height`: of the image
 #[inline(always)]
 fn filter<const K: usize, const FUSED: bool>(
-    width: usize,
-    first_row: usize,
-    num_rows: usize,
+    columns: Range<usize>,
+    rows: Range<usize>,
     height: usize,
     pass: &mut impl Pass<K, FUSED>,
 ) {
-    // Quantities of one row, with zeros beyond the image, and the rows filtered along themselves, the last eleven.
-    let mut padded;
+    // Quantities of one row, and the rows filtered along themselves, the last eleven.
+    let mut own;
     let mut ring = [[[0.0; SPAN]; K]; WINDOW_SIZE];
     let mut filtered = [[0.0; SPAN]; K];
-    for begin in (0..width).step_by(SPAN) {
-        let columns = begin..(begin + SPAN).min(width);
-        let seen = begin.saturating_sub(RADIUS)..(begin + SPAN + RADIUS).min(width);
-        padded = [[0.0; SPAN + 2 * RADIUS]; K];
-        for i in 0..num_rows + 2 * RADIUS {
+    for begin in columns.clone().step_by(SPAN) {
+        own = [[0.0; SPAN + 2 * RADIUS]; K];
+        for i in 0..rows.len() + 2 * RADIUS {
             let slot = &mut ring[i % WINDOW_SIZE];
-            match (first_row + i).checked_sub(RADIUS).filter(|&row| row < height) {
+            match (rows.start + i).checked_sub(RADIUS).filter(|&row| row < height) {
                 Some(row) => {
-                    let at = seen.start + RADIUS - begin;
-                    let mut rows = padded.iter_mut().map(|padded| &mut padded[at..at + seen.len()]);
-                    pass.fill(row, seen.clone(), std::array::from_fn(|_| rows.next().unwrap_or_default()));
-                    for (padded, out) in padded.iter().zip(slot) {
-                        blend::<FUSED>(std::array::from_fn(|tap| first_of(&padded[tap..])), out);
+                    for (seen, out) in pass.see(row, begin, &mut own).into_iter().zip(slot) {
+                        blend::<FUSED>(std::array::from_fn(|tap| first_of(&seen[tap..])), out);
                     }
                 }
                 None => *slot = [[0.0; SPAN]; K],
@@ -475,15 +565,21 @@ fn filter<const K: usize, const FUSED: bool>(
                 for (k, out) in filtered.iter_mut().enumerate() {
                     blend::<FUSED>(std::array::from_fn(|tap| &ring[(row + tap) % WINDOW_SIZE][k]), out);
                 }
-                pass.take(row, columns.clone(), &filtered);
+                pass.take(row, begin..(begin + SPAN).min(columns.end), &filtered);
             }
         }
     }
 }
 
 #[inline(always)]
-fn first_of(values: &[f32]) -> &Row {
+fn first_of<const N: usize>(values: &[f32]) -> &[f32; N] {
     values.first_chunk().expect("a span and its border")
+}
+
+/// A span of a saved row.
+#[inline(always)]
+fn span_mut(row: &mut [f32], at: usize) -> &mut Row {
+    row[at..].first_chunk_mut().expect("a saved row holds a whole span after any column")
 }
 
 /// One pass of the window: weighs eleven rows, from one side to the other.
@@ -497,12 +593,6 @@ fn blend<const FUSED: bool>(taps: [&Row; WINDOW_SIZE], out: &mut Row) {
         let far = mul_add::<FUSED>(w[4], a4[i] + b4[i], w[5] * (a5[i] + b5[i]));
         out[i] = near + (middle + far);
     }
-}
-
-/// `[K, W]` as `K` slices.
-#[inline(always)]
-fn split<const K: usize>(width: usize, rows: &[f32]) -> [&[f32]; K] {
-    std::array::from_fn(|k| &rows[k * width..][..width])
 }
 
 #[cfg(test)]
@@ -532,13 +622,13 @@ mod tests {
     }
 
     #[test]
-    fn the_backward_pass_accumulates() {
+    fn the_backward_pass_overwrites() {
         let (x, y) = (Image::filled(7, 40, 2, 0.8), Image::filled(7, 40, 2, 0.4));
         let saved = ssim_fwd(&x, &y).1;
         let mut once = Image::filled(7, 40, 2, 0.0);
         ssim_bwd(&x, &y, &saved, &[1.0, -2.0], &mut once);
         let mut onto_one = Image::filled(7, 40, 2, 1.0);
         ssim_bwd(&x, &y, &saved, &[1.0, -2.0], &mut onto_one);
-        assert!(once.data.iter().zip(&onto_one.data).all(|(a, b)| 1.0 + a == *b));
+        assert_eq!(once, onto_one);
     }
 }

@@ -21,7 +21,7 @@ mod tiling;
 mod weights;
 
 #[cfg(feature = "cpu")]
-pub use cpu::{CpuRasterizer, CpuSaved, CpuTiles, count_pairs, gaussians_reaching, tiles_reached};
+pub use cpu::{CpuLocked, CpuRasterizer, CpuSaved, CpuTiles, Scope, count_pairs, gaussians_reaching, tiles_reached};
 pub use project::{Projection, SplatCamera, kept_opacity_vjp, project, project_vjp};
 pub use rasterizer::{Draw, DrawAny, Rasterizer, RenderGrads, RenderOutput, draw_any};
 pub use settings::RenderSettings;

@@ -14,7 +14,7 @@ use rand::seq::SliceRandom;
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use tcgs_codec::{CompactScene, Light, MAX_BITS, Quantizer, Tracks, locate};
-use tcgs_core::{Attribute, GaussianGrads, View, activate, activate_bwd, seen_colors, seen_colors_bwd};
+use tcgs_core::{Attribute, GaussianGrads, Image, View, activate, activate_bwd, seen_colors, seen_colors_bwd};
 use tcgs_render::{Rasterizer, RenderSettings};
 
 use crate::adam::BETA1;
@@ -317,13 +317,14 @@ fn gradients<R: Rasterizer>(
     let settings = RenderSettings { statistic_channels: 0, ..RenderSettings::default() };
     let (output, saved) = rasterizer.forward(&drawn, camera, &settings)?;
     let whole = std::array::from_fn(|channel| gain[channel] + light[channel]);
-    let loss = image_loss(&output.image, &view.image, whole, offset, 1.0, 0.0);
+    let mut v_image = Image::default();
+    let loss = image_loss(&output.image, &view.image, whole, offset, 1.0, 0.0, &mut v_image);
     let mut v_light = loss.v_gain;
     for (channel, v_light) in v_light.iter_mut().enumerate().filter(|(channel, _)| drawn.background[*channel] > 0.0) {
-        let of_pixels = loss.v_image.plane(channel).iter().zip(&output.transmittance);
+        let of_pixels = v_image.plane(channel).iter().zip(&output.transmittance);
         *v_light -= drawn.background[channel] * of_pixels.map(|(v, passed)| v * passed).sum::<f32>();
     }
-    let mut grads = rasterizer.backward(&drawn, camera, &settings, &saved, &loss.v_image)?;
+    let mut grads = rasterizer.backward(&drawn, camera, &settings, &saved, &v_image)?;
     if let Some(opacities) = kept_opacities {
         drop_out(&mut grads.activated.v_opacities, dropout);
         drawn.opacities = opacities;

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use tcgs_core::{Activated, ActivatedGrads, Camera, Image};
 
 use self::rasterize::{TileImage, num_learned, rasterize_bwd, rasterize_fwd, rasterize_weights};
-use self::tiles::{Splat, Tiles};
+use self::tiles::{Locked, Splat, Tiles};
 pub use self::tiles::{count_pairs, gaussians_reaching, tiles_reached};
 use crate::project::{SplatCamera, kept_opacity_vjp, project_vjp};
 use crate::settings::{COLOR_CHANNELS, MAX_CHANNELS};
@@ -45,6 +45,58 @@ pub struct CpuRasterizer;
 /// [`CpuRasterizer::backward_in`].
 #[derive(Debug)]
 pub struct CpuTiles(Tiles);
+
+/// Some tiles of a view, and the splats there of Gaussians that stay the same from one [`CpuRasterizer::forward_in`] to
+/// the next. They are projected and sorted once.
+#[derive(Clone, Debug)]
+pub struct CpuLocked {
+    tiles: TileMask,
+    splats: Locked,
+}
+
+impl CpuLocked {
+    /// - `moving`: indices of the Gaussians that may change; all others are locked
+    ///
+    /// # Panics
+    /// If `tiles` is not of the camera's size.
+    pub fn new(gaussians: &Activated, camera: &Camera, tiles: TileMask, moving: Vec<u32>) -> Self {
+        assert_eq!(tiles.grid(), tile_grid(camera.width, camera.height), "a mask of another image's tiles");
+        Self { splats: Locked::new(gaussians, camera, &tiles, moving), tiles }
+    }
+
+    /// The tiles.
+    pub fn tiles(&self) -> &TileMask {
+        &self.tiles
+    }
+}
+
+/// What [`CpuRasterizer::forward_in`] draws.
+#[derive(Clone, Copy, Debug)]
+pub enum Scope<'a> {
+    /// The whole image.
+    Whole,
+    /// Some tiles.
+    Tiles(&'a TileMask),
+    /// The tiles of a view, where all Gaussians but the moving ones are as they were.
+    Locked(&'a CpuLocked),
+}
+
+impl<'a> Scope<'a> {
+    fn tiles(self) -> Option<&'a TileMask> {
+        match self {
+            Self::Whole => None,
+            Self::Tiles(tiles) => Some(tiles),
+            Self::Locked(locked) => Some(&locked.tiles),
+        }
+    }
+
+    fn locked(self) -> Option<&'a Locked> {
+        match self {
+            Self::Locked(locked) => Some(&locked.splats),
+            Self::Whole | Self::Tiles(_) => None,
+        }
+    }
+}
 
 /// State that the CPU's forward saves for its backward.
 #[derive(Debug)]
@@ -93,42 +145,43 @@ impl CpuRasterizer {
     ) -> (RenderOutput, CpuSaved) {
         let mut image = Image::filled(camera.width, camera.height, gaussians.num_channels, 0.0);
         let mut transmittance = vec![0.0; camera.width * camera.height];
-        let tiles = Self::draw_into(gaussians, camera, settings, None, &mut image, Some(&mut transmittance), laps);
+        let (whole, t) = (Scope::Whole, Some(&mut transmittance[..]));
+        let tiles = Self::draw_into(gaussians, camera, settings, whole, &mut image, t, laps);
         let output = RenderOutput { image, transmittance };
         let image = output.image.clone();
         laps.lap("rasterize");
         (output, CpuSaved { tiles, image })
     }
 
-    /// Renders some tiles of an image, and leaves its other pixels unchanged. In the drawn tiles, every pixel has the
-    /// same bits as from [`Rasterizer::forward`].
+    /// Renders into an image that the caller keeps. Where it draws, every pixel has the same bits as from
+    /// [`Rasterizer::forward`].
     ///
-    /// - `mask`: the tiles to draw
-    /// - `image`: `[C, H, W]`, overwritten in these tiles
+    /// - `scope`: what to draw
+    /// - `image`: `[C, H, W]`, overwritten there, unchanged elsewhere
     /// - `laps`: gets the stages `project`, `sort` and `rasterize`
     ///
     /// # Panics
-    /// As [`Rasterizer::forward`]; if `mask` or `image` is not of the camera's size.
+    /// As [`Rasterizer::forward`]; if `scope` or `image` is not of the camera's size.
     pub fn forward_in(
         &self,
         gaussians: &Activated,
         camera: &Camera,
         settings: &RenderSettings,
-        mask: &TileMask,
+        scope: Scope<'_>,
         image: &mut Image,
         laps: &mut Laps,
     ) -> CpuTiles {
-        let tiles = Self::draw_into(gaussians, camera, settings, Some(mask), image, None, laps);
+        let tiles = Self::draw_into(gaussians, camera, settings, scope, image, None, laps);
         laps.lap("rasterize");
         tiles
     }
 
-    /// Draws the tiles of `mask`, or all, into an image, and likewise the transmittance.
+    /// Draws into an image, and likewise the transmittance.
     fn draw_into(
         gaussians: &Activated,
         camera: &Camera,
         settings: &RenderSettings,
-        mask: Option<&TileMask>,
+        scope: Scope<'_>,
         image: &mut Image,
         transmittance: Option<&mut [f32]>,
         laps: &mut Laps,
@@ -143,9 +196,9 @@ impl CpuRasterizer {
         let settings = &settings.clone().or_background(&gaussians.background);
         let shape = [image.num_channels, image.height, image.width];
         assert_eq!(shape, [channels, camera.height, camera.width], "the image to draw into");
-        let grid = tile_grid(camera.width, camera.height);
+        let (grid, mask) = (tile_grid(camera.width, camera.height), scope.tiles());
         assert!(mask.is_none_or(|mask| mask.grid() == grid), "a mask of another image's tiles");
-        let tiles = Tiles::new(gaussians, camera, mask, laps);
+        let tiles = Tiles::new(gaussians, camera, mask, scope.locked(), laps);
         let numbers: Vec<usize> = match mask {
             Some(mask) => mask.iter().collect(),
             None => (0..grid[0] * grid[1]).collect(),
@@ -235,7 +288,7 @@ impl CpuTiles {
     /// # Panics
     /// As [`Rasterizer::forward`].
     pub fn new(gaussians: &Activated, camera: &Camera) -> Self {
-        Self(Tiles::new(gaussians, camera, None, &mut Laps::begin()))
+        Self(Tiles::new(gaussians, camera, None, None, &mut Laps::begin()))
     }
 
     /// Draws the Gaussians in other colours than their own: the picture of [`Rasterizer::forward`], on black.

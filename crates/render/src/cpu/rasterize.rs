@@ -509,7 +509,7 @@ mod tests {
             ..Activated::default()
         };
         let (settings, laps) = (RenderSettings::default(), &mut Laps::begin());
-        let tiles = Tiles::new(&gaussians, &camera, None, laps);
+        let tiles = Tiles::new(&gaussians, &camera, None, None, laps);
         let mut image = Image::filled(width, height, C, 0.0);
         let v_image = Image { data: (0..image.data.len()).map(|i| at(i, 0.7)).collect(), ..image.clone() };
         let mut values = Vec::new();

@@ -99,6 +99,26 @@ impl Splat {
         }
     }
 
+    /// See the pairs of the splat: a tile, and the rows in it.
+    ///
+    /// - `mask`: the tiles that have pairs; `None` for all
+    #[inline(always)]
+    fn for_each_pair(&self, grid: [usize; 2], mask: Option<&TileMask>, mut see: impl FnMut(u32, [u8; 2])) {
+        self.for_each_span(|column, span| {
+            for row in Self::tile_range(span) {
+                let tile = row * grid[0] + column;
+                if mask.is_none_or(|mask| mask.contains(tile)) {
+                    see(tile as u32, span.map(|end| (end as usize).saturating_sub(row * TILE).min(TILE) as u8));
+                }
+            }
+        });
+    }
+
+    /// Sorts like depths, which are positive, and equal depths by Gaussian.
+    fn key(&self) -> u64 {
+        u64::from(self.depth.to_bits()) << 32 | u64::from(self.gaussian)
+    }
+
     fn meets(&self, mask: &TileMask) -> bool {
         let [columns, rows] = self.pixels();
         mask.meets(columns, rows)
@@ -212,22 +232,25 @@ fn splat(gaussians: &Activated, index: usize, frame: &Frame<'_>) -> Option<Splat
 
 /// The splats of the Gaussians that reach a pixel, in the order of the Gaussians.
 ///
+/// - `among`: indices of the Gaussians to consider, ascending; `None` for all
 /// - `mask`: tiles to consider; `None` for all
-fn splats(gaussians: &Activated, camera: &Camera, mask: Option<&TileMask>) -> Vec<Splat> {
-    let (splat_camera, num_gaussians) = (SplatCamera::new(camera), gaussians.num_gaussians());
+fn splats(gaussians: &Activated, camera: &Camera, among: Option<&[u32]>, mask: Option<&TileMask>) -> Vec<Splat> {
+    let (splat_camera, num_gaussians) =
+        (SplatCamera::new(camera), among.map_or(gaussians.num_gaussians(), <[u32]>::len));
     let chunks: Vec<Vec<Splat>> = (0..num_gaussians)
         .into_par_iter()
         .step_by(CHUNK)
-        .map(|begin| splats_of(gaussians, begin..(begin + CHUNK).min(num_gaussians), &splat_camera, mask))
+        .map(|begin| splats_of(gaussians, among, begin..(begin + CHUNK).min(num_gaussians), &splat_camera, mask))
         .collect();
     chunks.concat()
 }
 
-/// The splats of consecutive Gaussians. It is compiled for AVX2 as well, which rounds by an instruction rather than by
-/// a call; the bits are the same.
+/// The splats of consecutive Gaussians among some. It is compiled for AVX2 as well, which rounds by an instruction
+/// rather than by a call; the bits are the same.
 #[multiversion(targets("x86_64+avx2"))]
 fn splats_of(
     gaussians: &Activated,
+    among: Option<&[u32]>,
     indices: Range<usize>,
     camera: &SplatCamera<f32>,
     mask: Option<&TileMask>,
@@ -235,7 +258,8 @@ fn splats_of(
     let mut splats = Vec::with_capacity(indices.len());
     let frame = Frame::new(camera);
     for index in indices {
-        if let Some(splat) = splat(gaussians, index, &frame)
+        let gaussian = among.map_or(index, |among| among[index] as usize);
+        if let Some(splat) = splat(gaussians, gaussian, &frame)
             && mask.is_none_or(|mask| splat.meets(mask))
         {
             splats.push(splat);
@@ -248,7 +272,7 @@ fn splats_of(
 /// has an alpha of at least [`MIN_ALPHA`]. A few more tiles count too, because a bounding box replaces each ellipse.
 pub fn tiles_reached(gaussians: &Activated, camera: &Camera) -> TileMask {
     let mut tiles = TileMask::none(camera.width, camera.height);
-    for splat in splats(gaussians, camera, None) {
+    for splat in splats(gaussians, camera, None, None) {
         let [columns, rows] = splat.pixels();
         tiles.insert_pixels(columns, rows);
     }
@@ -261,18 +285,93 @@ pub fn tiles_reached(gaussians: &Activated, camera: &Camera) -> TileMask {
 /// If `mask` is not of the camera's size.
 pub fn gaussians_reaching(gaussians: &Activated, camera: &Camera, mask: &TileMask) -> Vec<u32> {
     assert_eq!(mask.grid(), tile_grid(camera.width, camera.height), "a mask of another image's tiles");
-    splats(gaussians, camera, Some(mask)).iter().map(|splat| splat.gaussian).collect()
+    splats(gaussians, camera, None, Some(mask)).iter().map(|splat| splat.gaussian).collect()
 }
 
 /// Counts the splats of an image, and its pairs of a splat and a tile, without holding them in memory.
 pub fn count_pairs(gaussians: &Activated, camera: &Camera) -> PairCounts {
-    let splats = splats(gaussians, camera, None);
+    let splats = splats(gaussians, camera, None, None);
     let num_pairs = |splat: &Splat| {
         let mut pairs = 0;
         splat.for_each_span(|_, span| pairs += Splat::tile_range(span).len());
         pairs
     };
     PairCounts { pairs: splats.par_iter().map(num_pairs).sum(), splats: splats.len() }
+}
+
+/// Splats of Gaussians that stay the same while others move, and their pairs, in some tiles of a view.
+#[derive(Clone, Debug)]
+pub(super) struct Locked {
+    /// Indices of the Gaussians that move, ascending.
+    moving: Vec<u32>,
+    /// Sorted by depth.
+    splats: Vec<Splat>,
+    /// `[splats + 1]` first of each splat's entries in `pairs`.
+    starts: Vec<u32>,
+    /// Tile, and rows in it.
+    pairs: Vec<(u32, [u8; 2])>,
+}
+
+impl Locked {
+    pub fn new(gaussians: &Activated, camera: &Camera, mask: &TileMask, mut moving: Vec<u32>) -> Self {
+        moving.sort_unstable();
+        let mut splats = splats(gaussians, camera, None, Some(mask));
+        splats.retain(|splat| moving.binary_search(&splat.gaussian).is_err());
+        splats.sort_unstable_by_key(Splat::key);
+        let (mut starts, mut pairs) = (vec![0], Vec::new());
+        for splat in &splats {
+            splat.for_each_pair(mask.grid(), Some(mask), |tile, rows| pairs.push((tile, rows)));
+            starts.push(pairs.len() as u32);
+        }
+        Self { moving, splats, starts, pairs }
+    }
+
+    fn pairs_of(&self, splat: usize) -> &[(u32, [u8; 2])] {
+        &self.pairs[self.starts[splat] as usize..self.starts[splat + 1] as usize]
+    }
+}
+
+/// The splats to sort: locked ones, which are sorted already, and others.
+struct Sources<'a> {
+    locked: Option<&'a Locked>,
+    others: Vec<Splat>,
+}
+
+impl Sources<'_> {
+    fn num_locked(&self) -> usize {
+        self.locked.map_or(0, |locked| locked.splats.len())
+    }
+
+    /// All splats by depth: an index among the locked ones, or that among the others after them.
+    fn order(&self) -> Vec<u32> {
+        let key = |(i, splat): (usize, &Splat)| u64::from(splat.depth.to_bits()) << 32 | i as u64;
+        let mut order: Vec<u64> = self.others.par_iter().enumerate().map(key).collect();
+        order.par_sort_unstable();
+        let others = order.iter().map(|&key| key as u32);
+        let Some(locked) = self.locked else { return others.collect() };
+        let mut others = others.peekable();
+        let mut merged = Vec::with_capacity(locked.splats.len() + self.others.len());
+        for (i, splat) in locked.splats.iter().enumerate() {
+            while let Some(other) = others.next_if(|&other| self.others[other as usize].key() < splat.key()) {
+                merged.push(locked.splats.len() as u32 + other);
+            }
+            merged.push(i as u32);
+        }
+        merged.extend(others.map(|other| locked.splats.len() as u32 + other));
+        merged
+    }
+
+    /// The pairs of a locked splat.
+    fn locked_pairs(&self, source: u32) -> Option<&[(u32, [u8; 2])]> {
+        self.locked.filter(|_| (source as usize) < self.num_locked()).map(|locked| locked.pairs_of(source as usize))
+    }
+
+    fn splat(&self, source: u32) -> &Splat {
+        match (source as usize).checked_sub(self.num_locked()) {
+            Some(other) => &self.others[other],
+            None => &self.locked.expect("locked splats").splats[source as usize],
+        }
+    }
 }
 
 /// The pairs of some splats that follow one another in depth.
@@ -289,23 +388,29 @@ struct Part {
 
 impl Part {
     /// - `splats`: sorted by depth
+    /// - `order`: their places in `sources`
     /// - `first`: index of the first of them
-    fn new(splats: &[Splat], first: usize, grid: [usize; 2], mask: Option<&TileMask>) -> Self {
+    fn new(
+        splats: &[Splat],
+        order: &[u32],
+        first: usize,
+        sources: &Sources<'_>,
+        grid: [usize; 2],
+        mask: Option<&TileMask>,
+    ) -> Self {
         let mut found: Vec<(u32, Pair)> = Vec::with_capacity(4 * splats.len());
         let mut counts = Vec::with_capacity(splats.len());
         let mut starts = vec![0; grid[0] * grid[1] + 1];
-        for (i, splat) in splats.iter().enumerate() {
+        for (i, (splat, &source)) in splats.iter().zip(order).enumerate() {
             let begin = found.len();
-            splat.for_each_span(|column, span| {
-                for row in Splat::tile_range(span) {
-                    let tile = row * grid[0] + column;
-                    if mask.is_none_or(|mask| mask.contains(tile)) {
-                        let rows = span.map(|end| (end as usize).saturating_sub(row * TILE).min(TILE) as u8);
-                        found.push((tile as u32, Pair { splat: (first + i) as u32, rows }));
-                        starts[tile + 1] += 1;
-                    }
-                }
-            });
+            let mut see = |tile: u32, rows: [u8; 2]| {
+                found.push((tile, Pair { splat: (first + i) as u32, rows }));
+                starts[tile as usize + 1] += 1;
+            };
+            match sources.locked_pairs(source) {
+                Some(pairs) => pairs.iter().for_each(|&(tile, rows)| see(tile, rows)),
+                None => splat.for_each_pair(grid, mask, see),
+            }
             counts.push((found.len() - begin) as u32);
         }
         sum_up(&mut starts);
@@ -334,24 +439,32 @@ fn sum_up(starts: &mut [u32]) {
 
 impl Tiles {
     /// - `mask`: the tiles to draw, which alone have pairs; `None` for all
+    /// - `locked`: the Gaussians that are as they were, in the same tiles
     ///
     /// # Panics
     /// If there are more than `u32::MAX` pairs; see [`count_pairs`].
-    pub fn new(gaussians: &Activated, camera: &Camera, mask: Option<&TileMask>, laps: &mut Laps) -> Self {
-        let unsorted = splats(gaussians, camera, mask);
+    pub fn new(
+        gaussians: &Activated,
+        camera: &Camera,
+        mask: Option<&TileMask>,
+        locked: Option<&Locked>,
+        laps: &mut Laps,
+    ) -> Self {
+        let others = splats(gaussians, camera, locked.map(|locked| locked.moving.as_slice()), mask);
+        let sources = Sources { locked, others };
         laps.lap("project");
 
-        // Depths are positive, so their bits sort like their values; equal depths sort by index.
-        let key = |(i, splat): (usize, &Splat)| u64::from(splat.depth.to_bits()) << 32 | i as u64;
-        let mut order: Vec<u64> = unsorted.par_iter().enumerate().map(key).collect();
-        order.par_sort_unstable();
-        let splats: Vec<Splat> = order.par_iter().map(|&key| unsorted[key as u32 as usize]).collect();
+        let order = sources.order();
+        let splats: Vec<Splat> = order.par_iter().map(|&source| *sources.splat(source)).collect();
 
         let grid = tile_grid(camera.width, camera.height);
         let num_tiles = grid[0] * grid[1];
         let part_size = CHUNK.max(splats.len().div_ceil(PARTS));
-        let part = |(i, splats): (usize, &[Splat])| Part::new(splats, i * part_size, grid, mask);
-        let mut parts: Vec<Part> = splats.par_chunks(part_size).enumerate().map(part).collect();
+        let part = |(i, (splats, order)): (usize, (&[Splat], &[u32]))| {
+            Part::new(splats, order, i * part_size, &sources, grid, mask)
+        };
+        let chunks = splats.par_chunks(part_size).zip(order.par_chunks(part_size));
+        let mut parts: Vec<Part> = chunks.enumerate().map(part).collect();
         let num_pairs: usize = parts.iter().map(|part| part.pairs.len()).sum();
         assert!(num_pairs <= u32::MAX as usize, "{num_pairs} pairs of splats and tiles, expected at most {}", u32::MAX);
 

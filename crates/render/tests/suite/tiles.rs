@@ -4,7 +4,7 @@ use crate::support::{random_scene, test_camera};
 use tcgs_core::{Activated, ActivatedGrads, Image, normalize};
 use tcgs_render::settings::{MAX_ALPHA, MIN_ALPHA};
 use tcgs_render::{
-    CpuRasterizer, CpuTiles, Laps, Rasterizer, RenderGrads, RenderSettings, SplatCamera, TileMask, count_pairs,
+    CpuRasterizer, CpuTiles, Laps, Rasterizer, RenderGrads, RenderSettings, Scope, SplatCamera, TileMask, count_pairs,
     gaussians_reaching, project, tiles_reached,
 };
 
@@ -33,7 +33,8 @@ fn tiles_drawn_alone_have_the_bits_of_the_whole_image_and_its_gradients() {
     let Ok((whole, saved)) = CpuRasterizer.forward(&gaussians, &camera, &settings);
     assert_eq!(count_pairs(&gaussians, &camera), saved.counts());
     let mut image = Image::filled(SIZE[0], SIZE[1], 5, -7.0);
-    let tiles = CpuRasterizer.forward_in(&gaussians, &camera, &settings, &mask, &mut image, &mut Laps::begin());
+    let tiles =
+        CpuRasterizer.forward_in(&gaussians, &camera, &settings, Scope::Tiles(&mask), &mut image, &mut Laps::begin());
     for (pixel, (&drawn, &expected)) in image.data.iter().zip(&whole.image.data).enumerate() {
         assert_eq!(drawn, if is_outside(pixel) { -7.0 } else { expected }, "value {pixel}");
     }
@@ -65,7 +66,7 @@ fn gradients_of_some_gaussians_have_the_bits_of_those_of_all() {
         let settings = RenderSettings { statistic_channels, learned_channels, ..RenderSettings::default() };
         let (mask, laps) = (TileMask::all(SIZE[0], SIZE[1]), &mut Laps::begin());
         let mut image = Image::filled(SIZE[0], SIZE[1], 5, 0.0);
-        let tiles = CpuRasterizer.forward_in(&gaussians, &camera, &settings, &mask, &mut image, laps);
+        let tiles = CpuRasterizer.forward_in(&gaussians, &camera, &settings, Scope::Tiles(&mask), &mut image, laps);
         let mut v_image = image.clone();
         v_image.data.iter_mut().enumerate().for_each(|(i, v)| *v = (0.37 * i as f32).sin() + 0.3);
         let mut grads =

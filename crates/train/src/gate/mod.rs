@@ -24,7 +24,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 use tcgs_core::{Activated, Camera, Image, View, upper_median};
-use tcgs_render::{CpuRasterizer, Laps, RenderSettings, TileMask, tiles_reached};
+use tcgs_render::{CpuRasterizer, Laps, RenderSettings, Scope, TileMask, tiles_reached};
 
 pub use self::activity::Trained;
 pub(crate) use self::activity::{Activity, Shares, scenery_of};
@@ -315,6 +315,6 @@ fn redraw(drawn: &Drawn, camera: &Camera, tiles: &TileMask, picture: &mut Image)
     if !tiles.is_empty() {
         let drawn = drawn.seen_by(camera);
         let (settings, laps) = (RenderSettings::default(), &mut Laps::begin());
-        CpuRasterizer.forward_in(&drawn, camera, &settings, tiles, picture, laps);
+        CpuRasterizer.forward_in(&drawn, camera, &settings, Scope::Tiles(tiles), picture, laps);
     }
 }

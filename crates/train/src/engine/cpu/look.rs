@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use tcgs_core::{Activated, Camera, Image, Pinhole};
-use tcgs_render::{CpuRasterizer, CpuTiles, Laps, RenderSettings, TileMask};
+use tcgs_render::{CpuRasterizer, CpuTiles, Laps, RenderSettings, Scope, TileMask};
 
 use crate::TrainError;
 use crate::engine::LookRenderer;
@@ -33,7 +33,7 @@ impl LookRenderer for CpuLook {
     fn picture(&self, gaussians: &Arc<Activated>, camera: &Camera, tiles: &TileMask) -> Result<Image, TrainError> {
         let mut picture = Image::filled(camera.width, camera.height, 1, 0.0);
         let settings = RenderSettings::default();
-        CpuRasterizer.forward_in(gaussians, camera, &settings, tiles, &mut picture, &mut Laps::begin());
+        CpuRasterizer.forward_in(gaussians, camera, &settings, Scope::Tiles(tiles), &mut picture, &mut Laps::begin());
         Ok(picture)
     }
 }

@@ -17,7 +17,7 @@ use tcgs_core::{
     seen_colors, seen_colors_bwd,
 };
 use tcgs_render::settings::COLOR_CHANNELS;
-use tcgs_render::{CpuRasterizer, Laps, Rasterizer, RenderGrads, RenderSettings, StageTimes};
+use tcgs_render::{CpuRasterizer, Laps, Rasterizer, RenderGrads, RenderSettings, Scope, StageTimes};
 
 use self::stage::Stage;
 use super::{Engine, LookRenderer, Scenery, Step, Target};
@@ -163,6 +163,8 @@ pub struct CpuEngine {
     prior: Option<MotionPrior<f32>>,
     /// The scenery, if the state holds only a part of the scene.
     staged: Option<Staged>,
+    /// The image rendered last, unless a part of the scene is trained.
+    picture: Image,
     /// Gradient of the image rendered last, valid in the tiles drawn and undefined in the others.
     v_image: Image,
     /// Losses not yet returned.
@@ -177,6 +179,7 @@ impl CpuEngine {
             targets: Arc::default(),
             prior: None,
             staged: None,
+            picture: Image::default(),
             v_image: Image::default(),
             losses: Vec::new(),
         }
@@ -204,7 +207,7 @@ impl CpuEngine {
         laps.lap("activate");
         let (loss, mut grads) = match &mut self.staged {
             Some(staged) => staged.views[step.camera].render(&drawn, target, p, step, &mut self.v_image, laps),
-            None => render_whole(&drawn, target, p, step, laps),
+            None => render_whole(&drawn, target, p, step, [&mut self.picture, &mut self.v_image], laps),
         };
         if step.counts_gradients {
             count_gradients(&grads, &mut self.state.statistic);
@@ -341,7 +344,8 @@ impl Engine for CpuEngine {
     fn begin(&mut self, targets: Arc<[Target]>, scenery: Option<Scenery>) -> Result<(), TrainError> {
         self.end();
         self.targets = targets;
-        self.staged = scenery.map(|scenery| Staged { num_active: scenery.num_active, views: Stage::all(scenery) });
+        self.staged =
+            scenery.map(|scenery| Staged { num_active: scenery.num_active, views: Stage::all(scenery, &self.targets) });
         let foreground = &self.state.parameters.foreground;
         self.prior =
             self.state.past.as_ref().map(|past| {
@@ -431,20 +435,27 @@ fn settings_of(step: &Step<'_>) -> RenderSettings {
 }
 
 /// Renders the whole image and its losses, and propagates these back to the Gaussians.
+///
+/// - memory for the image and for its gradient; overwritten
 fn render_whole(
     drawn: &Activated,
     target: &Target,
     p: &Parameters,
     step: &Step<'_>,
+    [picture, v_image]: [&mut Image; 2],
     laps: &mut Laps,
 ) -> (ImageLoss, RenderGrads) {
-    let settings = settings_of(step);
-    let (output, saved) = CpuRasterizer.timed_forward(drawn, &target.camera, &settings, laps);
+    let (settings, camera) = (settings_of(step), &target.camera);
+    let shape = |i: &Image| [i.num_channels, i.height, i.width];
+    if shape(picture) != shape(&target.image) {
+        *picture = Image::filled(camera.width, camera.height, drawn.num_channels, 0.0);
+    }
+    let tiles = CpuRasterizer.forward_in(drawn, camera, &settings, Scope::Whole, picture, laps);
     let [gain, offset] = [p.camera_gains[step.camera], p.camera_offsets[step.camera]];
-    let weights = step.weights;
-    let loss = image_loss(&output.image, &target.image, gain, offset, weights.image, weights.segmentation);
+    let (image, segmentation) = (step.weights.image, step.weights.segmentation);
+    let loss = image_loss(picture, &target.image, gain, offset, image, segmentation, v_image);
     laps.lap("image losses");
-    let grads = CpuRasterizer.timed_backward(drawn, &target.camera, &settings, &saved, &loss.v_image, laps);
+    let grads = CpuRasterizer.backward_in(drawn, camera, &settings, &tiles, picture, v_image, None, laps);
     (loss, grads)
 }
 

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 use tcgs_core::{Activated, Image};
-use tcgs_render::{CpuRasterizer, Laps, RenderGrads, TileMask};
+use tcgs_render::{CpuLocked, CpuRasterizer, Laps, RenderGrads, Scope};
 
 use super::image_loss::{ImageLoss, image_loss_in};
 use super::settings_of;
@@ -12,7 +12,8 @@ use crate::parameters::Parameters;
 /// One view's part of a [`Scenery`].
 #[derive(Clone, Debug)]
 pub(super) struct Stage {
-    tiles: TileMask,
+    /// The view's tiles, and there the splats of all that is locked.
+    locked: CpuLocked,
     /// Gaussians that reach the tiles. Each iteration overwrites the values of the state's rows.
     drawn: Activated,
     /// `[rows]`, position in `drawn` of each row of the state; empty if there are no tiles.
@@ -25,9 +26,10 @@ pub(super) struct Stage {
 
 impl Stage {
     /// The stages of all views.
-    pub fn all(scenery: Scenery) -> Vec<Self> {
+    pub fn all(scenery: Scenery, targets: &[Target]) -> Vec<Self> {
         let Scenery { num_active, drawn, places, views } = scenery;
-        let of = |ViewScenery { tiles, gaussians, colors, picture }: ViewScenery| {
+        assert_eq!(views.len(), targets.len(), "a target for each view");
+        let of = |(ViewScenery { tiles, gaussians, colors, picture }, target): (ViewScenery, &Target)| {
             let indices: Vec<usize> = gaussians.iter().map(|&i| i as usize).collect();
             let place = |row: &u32| gaussians.binary_search(row).expect("a view has all rows");
             let places: Vec<usize> = if gaussians.is_empty() { Vec::new() } else { places.iter().map(place).collect() };
@@ -38,9 +40,11 @@ impl Stage {
                 assert_eq!(colors.len(), drawn.colors.len(), "colours that a camera sees");
                 drawn.colors = colors;
             }
-            Self { tiles, drawn, places, is_trained, picture }
+            let moving = places.iter().map(|&place| place as u32).collect();
+            let locked = CpuLocked::new(&drawn, &target.camera, tiles, moving);
+            Self { locked, drawn, places, is_trained, picture }
         };
-        views.into_par_iter().map(of).collect()
+        views.into_par_iter().zip(targets).map(of).collect()
     }
 
     /// Overwrites the values of the state's rows.
@@ -73,8 +77,8 @@ impl Stage {
     ) -> (ImageLoss, RenderGrads) {
         let (settings, camera) = (settings_of(step), &target.camera);
         self.place(rows);
-        let Self { tiles, drawn, places, is_trained, picture } = self;
-        let sorted = CpuRasterizer.forward_in(drawn, camera, &settings, tiles, picture, laps);
+        let Self { locked, drawn, places, is_trained, picture } = self;
+        let sorted = CpuRasterizer.forward_in(drawn, camera, &settings, Scope::Locked(locked), picture, laps);
         let [gain, offset] = [p.camera_gains[step.camera], p.camera_offsets[step.camera]];
         let weights = step.weights;
         let shape = |i: &Image| [i.num_channels, i.height, i.width];
@@ -82,6 +86,7 @@ impl Stage {
             *v_image = Image::filled(picture.width, picture.height, picture.num_channels, 0.0);
         }
         let (image, segmentation) = (weights.image, weights.segmentation);
+        let tiles = locked.tiles();
         let loss = image_loss_in(picture, &target.image, tiles, gain, offset, image, segmentation, v_image);
         laps.lap("image losses");
         let grads =
