@@ -4,8 +4,8 @@ use crate::support::{random_scene, test_camera};
 use tcgs_core::{Activated, ActivatedGrads, Image, normalize};
 use tcgs_render::settings::{MAX_ALPHA, MIN_ALPHA};
 use tcgs_render::{
-    CpuRasterizer, CpuTiles, Laps, Rasterizer, RenderGrads, RenderSettings, Scope, SplatCamera, TileMask, count_pairs,
-    gaussians_reaching, project, tiles_reached,
+    CpuLocked, CpuRasterizer, CpuTiles, Laps, Rasterizer, RenderGrads, RenderSettings, Scope, SplatCamera, TileMask,
+    count_pairs, gaussians_reaching, project, tiles_reached,
 };
 
 const SIZE: [usize; 2] = [75, 52];
@@ -54,6 +54,31 @@ fn tiles_drawn_alone_have_the_bits_of_the_whole_image_and_its_gradients() {
     let visible: Vec<u32> = (0..300).filter(|&i| found.visible[i as usize]).collect();
     assert_eq!(visible, reaching);
     assert!(reaching.len() > 50 && reaching.len() < 290, "{} of 300", reaching.len());
+}
+
+#[test]
+fn gaussians_may_move_among_locked_ones() {
+    let (camera, settings) = (test_camera(SIZE[0], SIZE[1]), RenderSettings::default());
+    let mut gaussians = random_scene(300, 5, 3);
+    // Equal depths are drawn in the order of the Gaussians, whichever of them move.
+    (0..300).for_each(|i| gaussians.means[i] = gaussians.means[i - i % 3]);
+    let moving: Vec<u32> = (0..300).filter(|i| i % 3 == 1).rev().collect();
+    let locked = CpuLocked::new(&gaussians, &camera, some_tiles(), moving.clone());
+    for step in 0..3 {
+        let of = |scope: Scope<'_>| {
+            let (mut image, laps) = (Image::filled(SIZE[0], SIZE[1], 5, -7.0), &mut Laps::begin());
+            let tiles = CpuRasterizer.forward_in(&gaussians, &camera, &settings, scope, &mut image, laps);
+            let v_image = Image { data: image.data.iter().map(|v| (9.0 * v).sin() + 0.3).collect(), ..image.clone() };
+            let grads = CpuRasterizer.backward_in(&gaussians, &camera, &settings, &tiles, &image, &v_image, None, laps);
+            (image, grads)
+        };
+        assert_eq!(of(Scope::Locked(&locked)), of(Scope::Tiles(&some_tiles())), "step {step}");
+        for &i in &moving {
+            gaussians.means[i as usize][0] += 0.1 * (i as f32).sin();
+            gaussians.means[i as usize][2] += 0.05 * (i as f32).cos();
+            gaussians.opacities[i as usize] *= if i % 7 == 0 { 1e-4 } else { 0.9 };
+        }
+    }
 }
 
 #[test]
