@@ -145,15 +145,15 @@ impl CpuRasterizer {
     ) -> (RenderOutput, CpuSaved) {
         let mut image = Image::filled(camera.width, camera.height, gaussians.num_channels, 0.0);
         let mut transmittance = vec![0.0; camera.width * camera.height];
-        let (whole, t) = (Scope::Whole, Some(&mut transmittance[..]));
-        let tiles = Self::draw_into(gaussians, camera, settings, whole, &mut image, t, laps);
+        let passed = Some(&mut transmittance[..]);
+        let tiles = Self::draw_into(gaussians, camera, settings, Scope::Whole, &mut image, passed, laps);
         let output = RenderOutput { image, transmittance };
         let image = output.image.clone();
         laps.lap("rasterize");
         (output, CpuSaved { tiles, image })
     }
 
-    /// Renders into an image that the caller keeps. Where it draws, every pixel has the same bits as from
+    /// Renders into an image that the caller keeps. Every pixel that it draws has the same bits as from
     /// [`Rasterizer::forward`].
     ///
     /// - `scope`: what to draw

@@ -99,9 +99,10 @@ impl Splat {
         }
     }
 
-    /// See the pairs of the splat: a tile, and the rows in it.
+    /// The splat's pairs.
     ///
     /// - `mask`: the tiles that have pairs; `None` for all
+    /// - `see`: receives each tile, and the rows in it
     #[inline(always)]
     fn for_each_pair(&self, grid: [usize; 2], mask: Option<&TileMask>, mut see: impl FnMut(u32, [u8; 2])) {
         self.for_each_span(|column, span| {
@@ -334,43 +335,41 @@ impl Locked {
 /// The splats to sort: locked ones, which are sorted already, and others.
 struct Sources<'a> {
     locked: Option<&'a Locked>,
+    /// In the order of the Gaussians.
     others: Vec<Splat>,
 }
 
 impl Sources<'_> {
-    fn num_locked(&self) -> usize {
-        self.locked.map_or(0, |locked| locked.splats.len())
-    }
-
-    /// All splats by depth: an index among the locked ones, or that among the others after them.
+    /// The places of all splats, sorted by depth. The locked ones have the first places, and the others come after.
     fn order(&self) -> Vec<u32> {
+        // As `Splat::key`, since the others are in the order of the Gaussians.
         let key = |(i, splat): (usize, &Splat)| u64::from(splat.depth.to_bits()) << 32 | i as u64;
         let mut order: Vec<u64> = self.others.par_iter().enumerate().map(key).collect();
         order.par_sort_unstable();
         let others = order.iter().map(|&key| key as u32);
-        let Some(locked) = self.locked else { return others.collect() };
-        let mut others = others.peekable();
-        let mut merged = Vec::with_capacity(locked.splats.len() + self.others.len());
-        for (i, splat) in locked.splats.iter().enumerate() {
-            while let Some(other) = others.next_if(|&other| self.others[other as usize].key() < splat.key()) {
-                merged.push(locked.splats.len() as u32 + other);
+        let Some(Locked { splats: locked, .. }) = self.locked else { return others.collect() };
+        let mut others = others.map(|other| other + locked.len() as u32).peekable();
+        let mut merged = Vec::with_capacity(locked.len() + self.others.len());
+        for (place, splat) in locked.iter().enumerate() {
+            while let Some(other) = others.next_if(|&other| self.splat(other).key() < splat.key()) {
+                merged.push(other);
             }
-            merged.push(i as u32);
+            merged.push(place as u32);
         }
-        merged.extend(others.map(|other| locked.splats.len() as u32 + other));
+        merged.extend(others);
         merged
     }
 
-    /// The pairs of a locked splat.
-    fn locked_pairs(&self, source: u32) -> Option<&[(u32, [u8; 2])]> {
-        self.locked.filter(|_| (source as usize) < self.num_locked()).map(|locked| locked.pairs_of(source as usize))
+    /// The pairs of the splat at a place; none if it is not locked.
+    fn locked_pairs(&self, place: u32) -> Option<&[(u32, [u8; 2])]> {
+        self.locked
+            .filter(|locked| (place as usize) < locked.splats.len())
+            .map(|locked| locked.pairs_of(place as usize))
     }
 
-    fn splat(&self, source: u32) -> &Splat {
-        match (source as usize).checked_sub(self.num_locked()) {
-            Some(other) => &self.others[other],
-            None => &self.locked.expect("locked splats").splats[source as usize],
-        }
+    fn splat(&self, place: u32) -> &Splat {
+        let locked = self.locked.map_or(&[][..], |locked| &locked.splats);
+        locked.get(place as usize).unwrap_or_else(|| &self.others[place as usize - locked.len()])
     }
 }
 
@@ -388,11 +387,11 @@ struct Part {
 
 impl Part {
     /// - `splats`: sorted by depth
-    /// - `order`: their places in `sources`
+    /// - `places`: theirs in `sources`
     /// - `first`: index of the first of them
     fn new(
         splats: &[Splat],
-        order: &[u32],
+        places: &[u32],
         first: usize,
         sources: &Sources<'_>,
         grid: [usize; 2],
@@ -401,13 +400,13 @@ impl Part {
         let mut found: Vec<(u32, Pair)> = Vec::with_capacity(4 * splats.len());
         let mut counts = Vec::with_capacity(splats.len());
         let mut starts = vec![0; grid[0] * grid[1] + 1];
-        for (i, (splat, &source)) in splats.iter().zip(order).enumerate() {
+        for (i, (splat, &place)) in splats.iter().zip(places).enumerate() {
             let begin = found.len();
             let mut see = |tile: u32, rows: [u8; 2]| {
                 found.push((tile, Pair { splat: (first + i) as u32, rows }));
                 starts[tile as usize + 1] += 1;
             };
-            match sources.locked_pairs(source) {
+            match sources.locked_pairs(place) {
                 Some(pairs) => pairs.iter().for_each(|&(tile, rows)| see(tile, rows)),
                 None => splat.for_each_pair(grid, mask, see),
             }
@@ -455,13 +454,13 @@ impl Tiles {
         laps.lap("project");
 
         let order = sources.order();
-        let splats: Vec<Splat> = order.par_iter().map(|&source| *sources.splat(source)).collect();
+        let splats: Vec<Splat> = order.par_iter().map(|&place| *sources.splat(place)).collect();
 
         let grid = tile_grid(camera.width, camera.height);
         let num_tiles = grid[0] * grid[1];
         let part_size = CHUNK.max(splats.len().div_ceil(PARTS));
-        let part = |(i, (splats, order)): (usize, (&[Splat], &[u32]))| {
-            Part::new(splats, order, i * part_size, &sources, grid, mask)
+        let part = |(i, (splats, places)): (usize, (&[Splat], &[u32]))| {
+            Part::new(splats, places, i * part_size, &sources, grid, mask)
         };
         let chunks = splats.par_chunks(part_size).zip(order.par_chunks(part_size));
         let mut parts: Vec<Part> = chunks.enumerate().map(part).collect();

@@ -32,7 +32,7 @@ pub struct ImageLoss {
 /// - `rendered`: `[C, H, W]`, of the target's shape, `C` 3 or 5
 /// - `gain`, `offset`: the camera's; its image is `exp(gain) * rendered + offset`
 /// - `image_weight`, `segmentation_weight`: of the two losses, in the gradients
-/// - `v_image`: `[C, H, W]`, gradient of the weighted sum with respect to `rendered`; overwritten, whatever its shape was
+/// - `v_image`: `[C, H, W]`, gradient of the weighted sum with respect to `rendered`; overwritten, of any shape before
 pub fn image_loss(
     rendered: &Image,
     target: &Image,
@@ -225,7 +225,8 @@ const LANES: usize = 8;
 ///
 /// - `raw`, `target`: `[W]`, the rendered image and the target
 /// - `correction`: the camera's factor and offset
-/// - returns: sums of `|factor raw + offset − target|`, and of the gradients to the factor's logarithm and to the offset
+/// - returns: sums of `|factor raw + offset − target|`, of the gradient to the factor's logarithm, and of that to the
+///   offset
 #[multiversion(targets("x86_64+avx2"))]
 fn row_bwd(raw: &[f32], target: &[f32], [factor, offset]: [f32; 2], slope: f32, v_row: &mut [f32]) -> [f64; 3] {
     let mut sums = [[0.0_f64; LANES]; 3];
