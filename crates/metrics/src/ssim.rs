@@ -170,7 +170,7 @@ impl<'a> ImagePair<'a> {
     }
 
     /// Width and height of the window, pixels.
-    pub fn size(&self) -> [usize; 2] {
+    fn size(&self) -> [usize; 2] {
         self.window.each_ref().map(ExactSizeIterator::len)
     }
 
@@ -182,7 +182,7 @@ impl<'a> ImagePair<'a> {
     }
 
     /// Factor and offset of a channel.
-    pub fn correction_of(&self, channel: usize) -> [f32; 2] {
+    fn correction_of(&self, channel: usize) -> [f32; 2] {
         self.correction.get(channel).copied().unwrap_or([1.0, 0.0])
     }
 
