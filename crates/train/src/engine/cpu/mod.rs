@@ -436,7 +436,7 @@ fn settings_of(step: &Step<'_>) -> RenderSettings {
 
 /// Renders the whole image and its losses, and propagates these back to the Gaussians.
 ///
-/// - memory for the image and for its gradient; overwritten
+/// - `picture`, `v_image`: memory for the image and for its gradient; overwritten
 fn render_whole(
     drawn: &Activated,
     target: &Target,
