@@ -41,8 +41,8 @@ Example:
 
 A long capture in chapters, on as many machines; see docs/TRAINING.md:
   tcgs train my_capture --out base --preset fast --frames 0..1
-  tcgs train my_capture --out chapter0 --config base/config.toml --frames 0..102 --start-from base@0
-  tcgs train my_capture --out chapter1 --config base/config.toml --frames 95..202 --start-from base@0
+  tcgs train my_capture --out chapter0 --config base/config.toml --frames 0..100 --start-from base@0
+  tcgs train my_capture --out chapter1 --config base/config.toml --frames 90..200 --start-from base@0
   tcgs compress chapter0 chapter1 --out scene.tcgs")]
 pub struct Arguments {
     /// Folder of the capture: Panoptic Sports, Neural 3D Video, Technicolor, nerfstudio, COLMAP, Middlebury, or the
