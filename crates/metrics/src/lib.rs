@@ -18,7 +18,7 @@ pub use lpips::{Backbone, InputRange, Lpips};
 pub use ms_ssim::{MIN_MS_SSIM_SIDE, dssim, ms_ssim};
 pub use protocol::{Measure, PixelRange, Protocol, ProtocolMetric, Rules};
 pub use psnr::{psnr, psnr_masked, psnr_per_channel};
-pub use ssim::{ImagePair, SSIM_C1, SSIM_C2, SSIM_RADIUS, SSIM_WINDOW, SsimSaved, ssim, ssim_bwd, ssim_fwd};
+pub use ssim::{ImagePair, SSIM_C1, SSIM_C2, SSIM_RADIUS, SSIM_WINDOW, ssim, ssim_grad};
 pub use uniform_ssim::uniform_ssim;
 
 /// Both images must have one shape.

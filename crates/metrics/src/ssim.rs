@@ -15,8 +15,9 @@
 //! 3. Work is cut into strips of rows of one channel, and strips into spans of columns. The eleven rows filtered last
 //!    of a span stay in the first-level cache. Neither size depends on the number of threads, so the results do not
 //!    either.
-//! 4. The forward pass saves the map's three derivatives rather than its statistics, so the backward pass is three
-//!    filters.
+//! 4. The forward pass leaves the map's three derivatives rather than its statistics, so the backward pass is three
+//!    filters. It follows strip by strip, while the derivatives are in the second-level cache; those of five rows to
+//!    either side are computed again.
 //! 5. Loops run on arrays of one length, compiled for AVX-512 or AVX2 where the machine has them. There multiply-adds
 //!    are fused, so machines differ in the last bits. A value has the same bits wherever an image is cut.
 
@@ -61,17 +62,9 @@ type Row = [f32; SPAN];
 /// One row of a span, and what the window sees beside it.
 type Seen = [f32; SPAN + 2 * RADIUS];
 
-/// State that the forward pass saves for the backward pass: three values per value of the image.
-#[derive(Clone, Debug, Default)]
-pub struct SsimSaved {
-    /// Strips of the channels, one after another, each `[rows, 3, saved_len(W)]`: derivatives of the map to `mean_x`,
-    /// `square_x` and `product`. Every strip is allocated by the thread that fills it.
-    strips: Vec<Vec<f32>>,
-}
-
-/// Length of a saved row: zeros as far as the window sees, the values, and zeros up to the end of a span that begins at
-/// any column. So the backward pass needs no copies.
-fn saved_len(width: usize) -> usize {
+/// Length of a row of derivatives: zeros as far as the window sees, the values, and zeros up to the end of a span that
+/// begins at any column. So the backward pass needs no copies.
+fn partials_len(width: usize) -> usize {
     width + SPAN + 2 * RADIUS
 }
 
@@ -87,44 +80,34 @@ fn saved_len(width: usize) -> usize {
 /// # Panics
 /// If the images differ in shape or have no values.
 pub fn ssim(rendered: &Image, target: &Image) -> f64 {
-    let means = ssim_fwd(rendered, target).0;
+    let nowhere = [0..0, 0..0];
+    let v_map = vec![0.0; rendered.num_channels];
+    let (means, _) = ImagePair::new(rendered, target).ssim_grad(&v_map, nowhere, &mut [], |_, _, _| ());
     means.iter().sum::<f64>() / means.len() as f64
 }
 
-/// SSIM of each channel, averaged over its pixels.
+/// SSIM of each channel, averaged over its pixels, and its gradient. *Overwrites* `v_rendered`.
 ///
 /// - `rendered`, `target`: `[C, H, W]`, of any size, not clamped
-/// - returns: `[C]`, and what [`ssim_bwd`] needs
+/// - `v_ssim`: `[C]`, gradient to each channel's mean
+/// - `v_rendered`: `[C, H, W]`, gradient to `rendered`
+/// - returns: `[C]`
 ///
 /// ```
 /// use tcgs_core::Image;
-/// use tcgs_metrics::{ssim_bwd, ssim_fwd};
 /// let (rendered, target) = (Image::filled(12, 12, 1, 0.4), Image::filled(12, 12, 1, 0.5));
-/// let (means, saved) = ssim_fwd(&rendered, &target);
 /// let mut v_rendered = Image::filled(12, 12, 1, 0.0);
-/// ssim_bwd(&rendered, &target, &saved, &[1.0], &mut v_rendered);
+/// let means = tcgs_metrics::ssim_grad(&rendered, &target, &[1.0], &mut v_rendered);
 /// assert!(means[0] < 1.0 && v_rendered.plane(0)[6 * 12 + 6] > 0.0, "brighter would be more similar");
 /// ```
 ///
 /// # Panics
-/// If the images differ in shape or have no values.
-pub fn ssim_fwd(rendered: &Image, target: &Image) -> (Vec<f64>, SsimSaved) {
-    ImagePair::new(rendered, target).ssim_fwd()
-}
-
-/// Backward of [`ssim_fwd`]. *Overwrites* `v_rendered`.
-///
-/// - `saved`: of the same images
-/// - `v_ssim`: `[C]`, gradient to each channel's mean
-/// - `v_rendered`: `[C, H, W]`, gradient to `rendered`
-///
-/// # Panics
-/// If shapes disagree.
-pub fn ssim_bwd(rendered: &Image, target: &Image, saved: &SsimSaved, v_ssim: &[f32], v_rendered: &mut Image) {
+/// If shapes disagree or the images have no values.
+pub fn ssim_grad(rendered: &Image, target: &Image, v_ssim: &[f32], v_rendered: &mut Image) -> Vec<f64> {
     assert_same_shape(rendered, v_rendered);
     let v_map: Vec<f32> = v_ssim.iter().map(|v| v / rendered.num_pixels() as f32).collect();
     let whole = [0..rendered.width, 0..rendered.height];
-    ImagePair::new(rendered, target).ssim_map_bwd(saved, &v_map, whole, &mut v_rendered.data, |_, _, _| ());
+    ImagePair::new(rendered, target).ssim_grad(&v_map, whole, &mut v_rendered.data, |_, _, _| ()).0
 }
 
 /// A rendered image and its target, as a training compares them: with a camera's gain and offset, and in a window.
@@ -194,67 +177,88 @@ impl<'a> ImagePair<'a> {
         Moments { width, height, stride: self.rendered.width, x, y, correction: self.correction_of(channel) }
     }
 
-    /// SSIM of each channel, averaged over the pixels of the window.
+    /// SSIM of each channel, averaged over the pixels of the window, and the gradient of its map in a part of it.
     ///
-    /// - returns: `[C]`, and what [`Self::ssim_map_bwd`] needs
-    ///
-    /// # Panics
-    /// If the window has no pixels.
-    pub fn ssim_fwd(&self) -> (Vec<f64>, SsimSaved) {
-        let [width, height] = self.size();
-        assert!(width * height > 0 && self.rendered.num_channels > 0, "ssim of an image without values");
-        let strips_per_channel = height.div_ceil(STRIP_ROWS);
-        let (sums, strips): (Vec<f64>, Vec<Vec<f32>>) = (0..self.rendered.num_channels * strips_per_channel)
-            .into_par_iter()
-            .map(|strip| {
-                let (channel, first_row) = (strip / strips_per_channel, strip % strips_per_channel * STRIP_ROWS);
-                let mut partials = vec![0.0; STRIP_ROWS.min(height - first_row) * 3 * saved_len(width)];
-                let sum = strip_fwd(self.moments(channel), first_row, &mut partials);
-                (sum, partials)
-            })
-            .unzip();
-        let num_pixels = (width * height) as f64;
-        let means = sums.chunks(strips_per_channel).map(|sums| sums.iter().sum::<f64>() / num_pixels).collect();
-        (means, SsimSaved { strips })
-    }
-
-    /// Backward of the map of [`Self::ssim_fwd`] before its mean is taken, in a part of the window.
-    ///
-    /// - `saved`: of the same pair
-    /// - `v_map`: `[C]`, gradient to the map, the same at every pixel of a channel
-    /// - `part`: columns and rows of the window
+    /// - `v_map`: `[C]`, gradient to the map before its mean is taken, the same at every pixel of a channel
+    /// - `part`: columns and rows of the window; may be empty
     /// - `v_part`: `[C, rows, columns]`, gradient to these pixels after the correction; overwritten
     /// - `finish`: gets each row of `v_part`, with its channel and its number, while it is in the processor's cache
-    /// - returns: `[C, rows]` what `finish` returns
+    /// - returns: `[C]` the means, and `[C, rows]` what `finish` returns
     ///
     /// # Panics
-    /// If shapes disagree.
-    pub fn ssim_map_bwd<T: Send>(
+    /// If shapes disagree or the window has no pixels.
+    pub fn ssim_grad<T: Send>(
         &self,
-        saved: &SsimSaved,
         v_map: &[f32],
         part: [Range<usize>; 2],
         v_part: &mut [f32],
         finish: impl Fn(usize, usize, &mut [f32]) -> T + Sync,
-    ) -> Vec<T> {
+    ) -> (Vec<f64>, Vec<T>) {
         let (channels, [width, height], [columns, rows]) = (self.rendered.num_channels, self.size(), part);
+        assert!(channels * width * height > 0, "ssim of an image without values");
         assert!(columns.end <= width && rows.end <= height, "a part of the window");
         assert_eq!(v_part.len(), channels * rows.len() * columns.len(), "gradient to the part");
         assert_eq!(v_map.len(), channels, "a gradient of [{}] against [C]", v_map.len());
-        let num_saved: usize = saved.strips.iter().map(Vec::len).sum();
-        assert_eq!(num_saved, channels * height * 3 * saved_len(width), "saved for another image");
-        let strips_per_channel = height.div_ceil(STRIP_ROWS);
-        let finished: Vec<Vec<T>> = strips(v_part, rows.len() * columns.len(), columns.len())
-            .into_par_iter()
-            .map(|(channel, first_row, v_rows)| {
-                let partials = &saved.strips[channel * strips_per_channel..][..strips_per_channel];
-                let moments = self.moments(channel);
-                strip_bwd(moments, columns.clone(), rows.start + first_row, partials, v_map[channel], v_rows);
-                let v_rows = v_rows.chunks_mut(columns.len()).enumerate();
-                v_rows.map(|(row, v_row)| finish(channel, first_row + row, v_row)).collect()
+        let num_strips = height.div_ceil(STRIP_ROWS);
+        let rows_of = |strip: usize| strip * STRIP_ROWS..((strip + 1) * STRIP_ROWS).min(height);
+        let mut rest = v_part;
+        let strips: Vec<_> = (0..channels * num_strips)
+            .map(|i| {
+                let (channel, own) = (i / num_strips, rows_of(i % num_strips));
+                let start = rows.start.clamp(own.start, own.end);
+                let part = [columns.clone(), start..rows.end.clamp(start, own.end)];
+                let v_rows = rest.split_off_mut(..part[1].len() * columns.len()).expect("a gradient of this length");
+                Strip { channel, own, part, v_map: v_map[channel], v_rows }
             })
             .collect();
-        finished.into_iter().flatten().collect()
+        let (sums, finished): (Vec<f64>, Vec<Vec<T>>) = strips
+            .into_par_iter()
+            .map_init(Vec::new, |partials, mut strip| {
+                let sum = strip.run(self.moments(strip.channel), partials);
+                let Strip { channel, part: [columns, own_rows], v_rows, .. } = strip;
+                let v_rows = v_rows.chunks_mut(columns.len().max(1)).zip(own_rows);
+                (sum, v_rows.map(|(v_row, row)| finish(channel, row - rows.start, v_row)).collect())
+            })
+            .unzip();
+        let num_pixels = (width * height) as f64;
+        let means = sums.chunks(num_strips).map(|sums| sums.iter().sum::<f64>() / num_pixels).collect();
+        (means, finished.into_iter().flatten().collect())
+    }
+}
+
+/// Rows of one channel: the map is summed over them, and the gradient written in some of them.
+struct Strip<'a> {
+    channel: usize,
+    own: Range<usize>,
+    /// Columns and rows where the gradient is wanted.
+    part: [Range<usize>; 2],
+    /// Gradient to the map.
+    v_map: f32,
+    /// `[rows, columns]` the gradient.
+    v_rows: &'a mut [f32],
+}
+
+impl Strip<'_> {
+    /// Returns the map's sum.
+    ///
+    /// - `partials`: memory that only strips of the same width have used
+    fn run(&mut self, moments: Moments<'_>, partials: &mut Vec<f32>) -> f64 {
+        let (own, [columns, rows]) = (self.own.clone(), self.part.clone());
+        let mut seen = own.clone();
+        if !self.v_rows.is_empty() {
+            seen.start = seen.start.min(rows.start.saturating_sub(RADIUS));
+            seen.end = seen.end.max((rows.end + RADIUS).min(moments.height));
+        }
+        let length = |num_rows: usize| num_rows * 3 * partials_len(moments.width);
+        if partials.is_empty() {
+            partials.resize(length(STRIP_ROWS + 2 * RADIUS), 0.0);
+        }
+        let partials = &mut partials[..length(seen.len())];
+        let sum = strip_fwd(moments, own, seen.clone(), partials);
+        if !self.v_rows.is_empty() {
+            strip_bwd(moments, columns, rows, seen.start, partials, self.v_map, self.v_rows);
+        }
+        sum
     }
 }
 
@@ -282,25 +286,17 @@ pub(crate) fn inner_means(rendered: &Image, target: &Image) -> Vec<(f64, f64)> {
     means.collect()
 }
 
-/// Cuts `[C, H, row_len]` into strips: channel, first row, values.
-fn strips(data: &mut [f32], channel_len: usize, row_len: usize) -> Vec<(usize, usize, &mut [f32])> {
-    let channels = data.chunks_mut(channel_len).enumerate();
-    channels
-        .flat_map(|(channel, plane)| {
-            let strips = plane.chunks_mut(STRIP_ROWS * row_len).enumerate();
-            strips.map(move |(i, strip)| (channel, i * STRIP_ROWS, strip))
-        })
-        .collect()
-}
-
-/// Fills the derivatives of one strip and returns the map's sum over it.
+/// Fills the derivatives of some rows and returns the map's sum over some of them.
 ///
-/// - `partials`: `[rows, 3, saved_len(W)]`, zeros
+/// - `own`: rows to sum over
+/// - `rows`: rows to fill
+/// - `partials`: `[rows, 3, partials_len(W)]`, derivatives of the map to `mean_x`, `square_x` and `product`; zeros on
+///   both sides of a row's values
 #[multiversion(targets("x86_64+avx2+fma+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
-fn strip_fwd(moments: Moments<'_>, first_row: usize, partials: &mut [f32]) -> f64 {
+fn strip_fwd(moments: Moments<'_>, own: Range<usize>, rows: Range<usize>, partials: &mut [f32]) -> f64 {
     let (columns, height) = (0..moments.width, moments.height);
-    let rows = first_row..first_row + partials.len() / (3 * saved_len(moments.width));
-    let mut pass = Forward { moments, partials, sum: 0.0 };
+    let own = own.start - rows.start..own.end - rows.start;
+    let mut pass = Forward { moments, own, partials, sum: 0.0 };
     if target_cfg_f!(target_feature = "fma") {
         filter::<4, true>(columns, rows, height, &mut pass);
     } else {
@@ -323,6 +319,7 @@ trait Pass<const K: usize, const FUSED: bool> {
 }
 
 /// Both images, the sum of their squares and their product, in one channel of a window.
+#[derive(Clone, Copy)]
 struct Moments<'a> {
     width: usize,
     height: usize,
@@ -362,7 +359,9 @@ impl Moments<'_> {
 /// The formula.
 struct Forward<'a> {
     moments: Moments<'a>,
-    /// `[rows, 3, saved_len(W)]`
+    /// Rows of `partials` whose map is summed.
+    own: Range<usize>,
+    /// `[rows, 3, partials_len(W)]`
     partials: &'a mut [f32],
     /// Sum of the map.
     sum: f64,
@@ -376,12 +375,14 @@ impl<const FUSED: bool> Pass<4, FUSED> for Forward<'_> {
 
     #[inline(always)]
     fn take(&mut self, row: usize, columns: Range<usize>, stats: &[Row; 4]) {
-        let length = saved_len(self.moments.width);
+        let length = partials_len(self.moments.width);
         let (v_mean, rest) = self.partials[row * 3 * length..][..3 * length].split_at_mut(length);
         let (v_square, v_product) = rest.split_at_mut(length);
         let mut spans = [v_mean, v_square, v_product].map(|row| span_mut(row, RADIUS + columns.start));
         let map = span_fwd::<FUSED>(stats, spans.each_mut().map(|span| &mut **span));
-        self.sum += sum_of(&map[..columns.len()]);
+        if self.own.contains(&row) {
+            self.sum += sum_of(&map[..columns.len()]);
+        }
         spans.iter_mut().for_each(|span| span[columns.len()..].fill(0.0));
     }
 }
@@ -475,20 +476,21 @@ fn span_fwd<const FUSED: bool>(
 /// Overwrites one strip's gradient: `G*v_mean + 2 x (G*v_square) + y (G*v_product)`, the window being its own
 /// transpose.
 ///
-/// - `columns`: where the gradient is wanted
-/// - `partials`: the strips of the channel, `[rows, 3, saved_len(W)]` each
+/// - `columns`, `rows`: where the gradient is wanted
+/// - `first_seen`, `partials`: the first row of `[rows, 3, partials_len(W)]`, which has all rows that the window sees
 /// - `v_rows`: `[rows, columns]`
 #[multiversion(targets("x86_64+avx2+fma+avx512f+avx512vl+avx512dq+avx512bw", "x86_64+avx2+fma"))]
 fn strip_bwd(
     moments: Moments<'_>,
     columns: Range<usize>,
-    first_row: usize,
-    partials: &[Vec<f32>],
+    rows: Range<usize>,
+    first_seen: usize,
+    partials: &[f32],
     v_map: f32,
     v_rows: &mut [f32],
 ) {
-    let (rows, height) = (first_row..first_row + v_rows.len() / columns.len(), moments.height);
-    let mut pass = Backward { moments, columns: columns.clone(), first_row, partials, v_map, v_rows };
+    let (first_row, height) = (rows.start, moments.height);
+    let mut pass = Backward { moments, columns: columns.clone(), first_row, first_seen, partials, v_map, v_rows };
     if target_cfg_f!(target_feature = "fma") {
         filter::<3, true>(columns, rows, height, &mut pass);
     } else {
@@ -501,7 +503,8 @@ struct Backward<'a> {
     moments: Moments<'a>,
     columns: Range<usize>,
     first_row: usize,
-    partials: &'a [Vec<f32>],
+    first_seen: usize,
+    partials: &'a [f32],
     v_map: f32,
     v_rows: &'a mut [f32],
 }
@@ -509,8 +512,8 @@ struct Backward<'a> {
 impl<const FUSED: bool> Pass<3, FUSED> for Backward<'_> {
     #[inline(always)]
     fn see<'a>(&'a self, row: usize, begin: usize, _: &'a mut [Seen; 3]) -> [&'a Seen; 3] {
-        let length = saved_len(self.moments.width);
-        let row = &self.partials[row / STRIP_ROWS][row % STRIP_ROWS * 3 * length..][..3 * length];
+        let length = partials_len(self.moments.width);
+        let row = &self.partials[(row - self.first_seen) * 3 * length..][..3 * length];
         std::array::from_fn(|k| first_of(&row[k * length + begin..]))
     }
 
@@ -576,10 +579,10 @@ fn first_of<const N: usize>(values: &[f32]) -> &[f32; N] {
     values.first_chunk().expect("a span and its border")
 }
 
-/// A span of a saved row.
+/// A span of a row of derivatives.
 #[inline(always)]
 fn span_mut(row: &mut [f32], at: usize) -> &mut Row {
-    row[at..].first_chunk_mut().expect("a saved row holds a whole span after any column")
+    row[at..].first_chunk_mut().expect("a row of derivatives holds a whole span after any column")
 }
 
 /// One pass of the window: weighs eleven rows, from one side to the other.
@@ -622,13 +625,12 @@ mod tests {
     }
 
     #[test]
-    fn the_backward_pass_overwrites() {
+    fn the_gradient_overwrites() {
         let (x, y) = (Image::filled(7, 40, 2, 0.8), Image::filled(7, 40, 2, 0.4));
-        let saved = ssim_fwd(&x, &y).1;
         let mut once = Image::filled(7, 40, 2, 0.0);
-        ssim_bwd(&x, &y, &saved, &[1.0, -2.0], &mut once);
+        ssim_grad(&x, &y, &[1.0, -2.0], &mut once);
         let mut onto_one = Image::filled(7, 40, 2, 1.0);
-        ssim_bwd(&x, &y, &saved, &[1.0, -2.0], &mut onto_one);
+        ssim_grad(&x, &y, &[1.0, -2.0], &mut onto_one);
         assert_eq!(once, onto_one);
     }
 }

@@ -1,7 +1,9 @@
 //! SSIM and its gradient against a naive two-dimensional oracle in `f64`.
 
+use std::ops::Range;
+
 use tcgs_core::Image;
-use tcgs_metrics::{ssim, ssim_bwd, ssim_fwd};
+use tcgs_metrics::{ImagePair, ssim, ssim_grad};
 
 /// A channel's mean, straight from the definition. Shares nothing with the crate.
 fn oracle(width: i64, height: i64, x: &[f64], y: &[f64]) -> f64 {
@@ -48,7 +50,7 @@ fn ssim_matches_the_oracle_at_every_size() {
     // Smaller than the window, wider than a vector, and taller than a strip of rows.
     for (width, height) in [(1, 1), (3, 2), (10, 4), (11, 11), (17, 33), (40, 70)] {
         let (x, y) = (pattern(width, height, 2, 1), pattern(width, height, 2, 2));
-        let found = ssim_fwd(&x, &y).0;
+        let found = ssim_grad(&x, &y, &[1.0; 2], &mut x.clone());
         for (channel, found) in found.iter().enumerate() {
             let (px, py) = (as_f64(x.plane(channel)), as_f64(y.plane(channel)));
             let expected = oracle(width as i64, height as i64, &px, &py);
@@ -64,7 +66,7 @@ fn the_gradient_matches_central_differences_of_the_oracle() {
         let (x, y) = (pattern(width, height, 2, 3), pattern(width, height, 2, 4));
         let v_ssim = [0.7, -1.3];
         let mut found = Image::filled(width, height, 2, 0.0);
-        ssim_bwd(&x, &y, &ssim_fwd(&x, &y).1, &v_ssim, &mut found);
+        ssim_grad(&x, &y, &v_ssim, &mut found);
         let (mut error, mut norm) = (0.0, 0.0);
         for (channel, v_channel) in v_ssim.into_iter().enumerate() {
             let (px, py) = (as_f64(x.plane(channel)), as_f64(y.plane(channel)));
@@ -86,15 +88,40 @@ fn the_gradient_matches_central_differences_of_the_oracle() {
 }
 
 #[test]
+fn a_part_of_the_gradient_has_the_bits_of_the_whole() {
+    let (width, height) = (150, 90);
+    let (x, y) = (pattern(width, height, 2, 7), pattern(width, height, 2, 8));
+    let of = |[columns, rows]: [Range<usize>; 2]| {
+        let mut v = vec![f32::NAN; 2 * columns.len() * rows.len()];
+        let part = [columns, rows];
+        let (means, rows) =
+            ImagePair::new(&x, &y).ssim_grad(&[0.7, -1.3], part, &mut v, |channel, row, _| (channel, row));
+        (means, rows, v)
+    };
+    let (means, _, whole) = of([0..width, 0..height]);
+    // Within a strip of rows, across strips, a single row of one, both edges, and nothing.
+    for part in [[3..141, 40..58], [0..1, 31..33], [20..30, 63..65], [149..150, 0..90], [5..150, 89..90], [9..20, 7..7]]
+    {
+        let (part_means, part_rows, found) = of(part.clone());
+        let [columns, rows] = part;
+        assert_eq!(part_means, means);
+        let numbered = (0..2).flat_map(|channel| (0..rows.len()).map(move |row| (channel, row)));
+        assert_eq!(part_rows, numbered.collect::<Vec<_>>());
+        let planes = whole.chunks(width * height);
+        let lines = planes.flat_map(|plane| plane.chunks(width).skip(rows.start).take(rows.len()));
+        let expected: Vec<f32> = lines.flat_map(|line| &line[columns.clone()]).copied().collect();
+        assert_eq!(found, expected, "columns {columns:?}, rows {rows:?}");
+    }
+}
+
+#[test]
 fn results_do_not_depend_on_the_number_of_threads() {
     let (x, y) = (pattern(70, 90, 5, 5), pattern(70, 90, 5, 6));
     let run = |num_threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(num_threads).build().unwrap();
         pool.install(|| {
-            let (means, saved) = ssim_fwd(&x, &y);
             let mut v = Image::filled(70, 90, 5, 0.0);
-            ssim_bwd(&x, &y, &saved, &[1.0; 5], &mut v);
-            (means, v)
+            (ssim_grad(&x, &y, &[1.0; 5], &mut v), v)
         })
     };
     assert_eq!(run(1), run(5));

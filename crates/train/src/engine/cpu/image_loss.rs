@@ -173,7 +173,6 @@ impl<'a> Comparison<'a> {
         let pair = ImagePair::new(self.rendered, self.target)
             .corrected(&self.correction)
             .within(columns.clone(), rows.clone());
-        let (ssim, saved) = pair.ssim_fwd();
         let v_map: Vec<f32> = self.weights.iter().map(|w| -(1.0 - L1_SHARE) * w / COUNTED_CHANNELS / counted).collect();
         let [part_columns, part_rows] = part;
         let part_columns = part_columns.start - columns.start..part_columns.end - columns.start;
@@ -184,7 +183,7 @@ impl<'a> Comparison<'a> {
             let slope = L1_SHARE * self.weights[channel] / (COUNTED_CHANNELS * counted);
             row_bwd(raw, target, self.correction[channel], slope, v_row)
         };
-        let mut parts = pair.ssim_map_bwd(&saved, &v_map, [part_columns.clone(), part_rows.clone()], v_part, finish);
+        let (ssim, mut parts) = pair.ssim_grad(&v_map, [part_columns.clone(), part_rows.clone()], v_part, finish);
         if !is_whole {
             // The losses count the surroundings, too.
             let of = |row: usize| {
