@@ -49,8 +49,8 @@ pub(crate) const WINDOW_SIZE: usize = 2 * RADIUS + 1;
 pub const SSIM_WINDOW: [f32; RADIUS + 1] =
     [0.266_011_72, 0.213_005_54, 0.109_360_69, 0.036_000_773, 0.007_598_758, 0.001_028_380_1];
 
-/// Rows of a strip. Ten more are filtered to either side: a third more work along rows, for strips enough for many
-/// cores.
+/// Rows of a strip. With a gradient the map is computed in five more on either side, which the strips beside compute,
+/// too: a third more work, for strips enough for many cores.
 const STRIP_ROWS: usize = 32;
 
 /// Columns of a span: eleven rows of four filtered quantities take 22 kB.
