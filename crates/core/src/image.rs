@@ -23,6 +23,19 @@ impl Image {
         Self { width, height, num_channels, data: vec![value; width * height * num_channels] }
     }
 
+    /// `[C, H, W]`, the numbers of channels, rows and columns.
+    pub fn shape(&self) -> [usize; 3] {
+        [self.num_channels, self.height, self.width]
+    }
+
+    /// Makes this an image of zeros if it has another shape than `[C, H, W]`; otherwise keeps its values.
+    pub fn ensure_shape(&mut self, shape: [usize; 3]) {
+        if self.shape() != shape {
+            let [num_channels, height, width] = shape;
+            *self = Self::filled(width, height, num_channels, 0.0);
+        }
+    }
+
     /// `W * H`.
     pub fn num_pixels(&self) -> usize {
         self.width * self.height
@@ -113,6 +126,15 @@ mod tests {
     fn bytes_survive_the_round_trip() {
         let bytes: Vec<u8> = (0..3 * 4 * 2).map(|i| (i * 10) as u8).collect();
         assert_eq!(Image::from_rgb8(4, 2, &bytes).to_rgb8(), bytes);
+    }
+
+    #[test]
+    fn an_image_of_the_wanted_shape_keeps_its_values() {
+        let mut image = Image::filled(4, 3, 2, 0.5);
+        image.ensure_shape([2, 3, 4]);
+        assert_eq!(image, Image::filled(4, 3, 2, 0.5));
+        image.ensure_shape([3, 2, 4]);
+        assert_eq!(image, Image::filled(4, 2, 3, 0.0));
     }
 
     #[test]

@@ -23,7 +23,6 @@ pub use uniform_ssim::uniform_ssim;
 
 /// Both images must have one shape.
 fn assert_same_shape(rendered: &tcgs_core::Image, target: &tcgs_core::Image) {
-    let shape = |image: &tcgs_core::Image| [image.num_channels, image.height, image.width];
-    assert_eq!(shape(rendered), shape(target), "[C, H, W] of the rendered image and of the target");
+    assert_eq!(rendered.shape(), target.shape(), "[C, H, W] of the rendered image and of the target");
     assert_eq!(rendered.data.len(), target.data.len(), "number of values of the rendered image and of the target");
 }

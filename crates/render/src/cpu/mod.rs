@@ -194,8 +194,7 @@ impl CpuRasterizer {
         let behind = gaussians.background.len();
         assert!(behind <= channels, "a background of {behind} channels behind Gaussians of {channels}");
         let settings = &settings.clone().or_background(&gaussians.background);
-        let shape = [image.num_channels, image.height, image.width];
-        assert_eq!(shape, [channels, camera.height, camera.width], "the image to draw into");
+        assert_eq!(image.shape(), [channels, camera.height, camera.width], "the image to draw into");
         let (grid, mask) = (tile_grid(camera.width, camera.height), scope.tiles());
         assert!(mask.is_none_or(|mask| mask.grid() == grid), "a mask of another image's tiles");
         let tiles = Tiles::new(gaussians, camera, mask, scope.locked(), laps);
@@ -248,9 +247,8 @@ impl CpuRasterizer {
         wanted: Option<&[bool]>,
         laps: &mut Laps,
     ) -> RenderGrads {
-        let shape = |i: &Image| [i.num_channels, i.height, i.width];
         let drawn = [gaussians.num_channels, camera.height, camera.width];
-        assert_eq!([shape(image), shape(v_image)], [drawn; 2], "image and v_image against what was drawn");
+        assert_eq!([image.shape(), v_image.shape()], [drawn; 2], "image and v_image against what was drawn");
         let (counted, channels) = (settings.statistic_channels, gaussians.num_channels);
         let is_known = [0, COLOR_CHANNELS].contains(&counted) || counted >= channels;
         assert!(is_known, "a statistic of {counted} of {channels} channels, expected 0, {COLOR_CHANNELS} or all");

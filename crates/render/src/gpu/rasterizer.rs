@@ -157,8 +157,7 @@ impl GpuRasterizer {
         shares: &Image,
     ) -> Result<(Image, Vec<f32>), GpuError> {
         let (n, c) = (gaussians.num_gaussians(), gaussians.num_channels);
-        let shape = [shares.num_channels, shares.height, shares.width];
-        assert_eq!(shape, [c, camera.height, camera.width], "shares of all pixels");
+        assert_eq!(shares.shape(), [c, camera.height, camera.width], "shares of all pixels");
         let settings = &RenderSettings { statistic_channels: 0, ..RenderSettings::default() };
         let job = Job { gaussians, camera, settings, v_image: Some(shares) };
         let pixels = camera.width * camera.height;
@@ -201,8 +200,7 @@ impl Rasterizer for GpuRasterizer {
         v_image: &Image,
     ) -> Result<RenderGrads, GpuError> {
         let (n, c) = (gaussians.num_gaussians(), gaussians.num_channels);
-        let shape = [v_image.num_channels, v_image.height, v_image.width];
-        assert_eq!(shape, [c, camera.height, camera.width], "v_image against the rendered image");
+        assert_eq!(v_image.shape(), [c, camera.height, camera.width], "v_image against the rendered image");
         let job = Job { gaussians, camera, settings, v_image: Some(v_image) };
         let ([v, statistic], _) = self
             .run(&job, None, |buffers| [(&buffers.v_activated, 0..(11 + c) * n), (&buffers.v_means2d_ndc, 0..3 * n)])?;

@@ -42,10 +42,7 @@ pub fn image_loss(
     segmentation_weight: f32,
     v_image: &mut Image,
 ) -> ImageLoss {
-    let shape = |i: &Image| [i.num_channels, i.height, i.width];
-    if shape(v_image) != shape(rendered) {
-        *v_image = Image::filled(rendered.width, rendered.height, rendered.num_channels, 0.0);
-    }
+    v_image.ensure_shape(rendered.shape());
     let comparison = Comparison::new(rendered, target, gain, offset, [image_weight, segmentation_weight]);
     let whole = [0..rendered.width, 0..rendered.height];
     comparison.losses(whole.clone(), whole, &mut v_image.data)
@@ -55,7 +52,7 @@ pub fn image_loss(
 /// [`image_loss`], which compares the whole image.
 ///
 /// - `mask`: the tiles
-/// - `v_image`: `[C, H, W]`, the gradient; overwritten in the tiles, undefined elsewhere
+/// - `v_image`: `[C, H, W]`, the gradient; of any shape before, overwritten in the tiles, undefined elsewhere
 /// - returns: the two losses, as sums over the tiles and their surroundings divided by the pixels of the whole image;
 ///   the camera has no gradient
 #[allow(clippy::too_many_arguments, reason = "the arguments of image_loss, and where")]
@@ -70,6 +67,7 @@ pub fn image_loss_in(
     v_image: &mut Image,
 ) -> ImageLoss {
     let (width, height) = (rendered.width, rendered.height);
+    v_image.ensure_shape(rendered.shape());
     let comparison = Comparison::new(rendered, target, gain, offset, [image_weight, segmentation_weight]);
     // A gradient depends on the map's values within a window's radius, and these on pixels within another.
     const HALO: usize = 2 * SSIM_RADIUS;

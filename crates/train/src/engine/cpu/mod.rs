@@ -446,10 +446,7 @@ fn render_whole(
     laps: &mut Laps,
 ) -> (ImageLoss, RenderGrads) {
     let (settings, camera) = (settings_of(step), &target.camera);
-    let shape = |i: &Image| [i.num_channels, i.height, i.width];
-    if shape(picture) != shape(&target.image) {
-        *picture = Image::filled(camera.width, camera.height, drawn.num_channels, 0.0);
-    }
+    picture.ensure_shape(target.image.shape());
     let tiles = CpuRasterizer.forward_in(drawn, camera, &settings, Scope::Whole, picture, laps);
     let [gain, offset] = [p.camera_gains[step.camera], p.camera_offsets[step.camera]];
     let (image, segmentation) = (step.weights.image, step.weights.segmentation);

@@ -81,10 +81,6 @@ impl Stage {
         let sorted = CpuRasterizer.forward_in(drawn, camera, &settings, Scope::Locked(locked), picture, laps);
         let [gain, offset] = [p.camera_gains[step.camera], p.camera_offsets[step.camera]];
         let weights = step.weights;
-        let shape = |i: &Image| [i.num_channels, i.height, i.width];
-        if shape(v_image) != shape(picture) {
-            *v_image = Image::filled(picture.width, picture.height, picture.num_channels, 0.0);
-        }
         let (image, segmentation) = (weights.image, weights.segmentation);
         let tiles = locked.tiles();
         let loss = image_loss_in(picture, &target.image, tiles, gain, offset, image, segmentation, v_image);

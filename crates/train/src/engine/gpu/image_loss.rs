@@ -216,7 +216,7 @@ mod tests {
         targets: &[u32],
         part: Option<&SceneryLists>,
     ) -> (Vec<f32>, Vec<f32>) {
-        let [channels, height, width] = [rendered.num_channels, rendered.height, rendered.width];
+        let [channels, height, width] = rendered.shape();
         let v_image = gpu.storage("v_image", rendered.data.len()).unwrap();
         let lists =
             part.map(|p| [gpu.upload("lists", &p.lists).unwrap(), gpu.upload("pictures", &p.pictures).unwrap()]);
