@@ -10,6 +10,7 @@ use tcgs_train::engine::Engine;
 use tcgs_train::engine::cpu::CpuEngine;
 use tcgs_train::{Parameters, Preset, Run, State, TrainConfig, Trainer};
 
+use crate::support::copy_folder;
 use crate::wall::{add_ball, wall};
 
 const WALL: [usize; 2] = [16, 14];
@@ -155,23 +156,27 @@ fn a_run_with_births_and_deaths_resumes_with_the_same_bytes_and_reads_back() {
     config.quantize.start = 0;
     let run = Run::create(&folder.path().join("whole"), &config).unwrap();
     let mut trainer = on_cpu(&config);
-    fit(&mut trainer, 0..NUM_TIMESTEPS, true, Some(&run));
+    // Before births and deaths, right after them, and later.
+    let stops = [ENTERS, ENTERS + 1, NUM_TIMESTEPS - 1];
+    let cut = |stopped: usize| folder.path().join(format!("cut{stopped}"));
+    for timestep in 0..NUM_TIMESTEPS {
+        if stops.contains(&timestep) {
+            copy_folder(run.folder(), &cut(timestep));
+        }
+        fit(&mut trainer, timestep..timestep + 1, true, Some(&run));
+    }
     let lives = run.lives(NUM_TIMESTEPS).unwrap().unwrap();
     assert_eq!(lives, trainer.state().unwrap().lifetimes.lives);
     let burials: Vec<usize> =
         (0..NUM_TIMESTEPS).filter(|&t| lives.iter().any(|life| life.death as usize == t)).collect();
     assert!(burials.contains(&ENTERS) && lives.iter().any(|life| life.birth as usize == ENTERS), "{lives:?}");
 
-    // Before births and deaths, right after them, and later.
-    for stopped in [ENTERS, ENTERS + 1, NUM_TIMESTEPS - 1] {
-        let cut = folder.path().join(format!("cut{stopped}"));
-        let again = Run::create(&cut, &config).unwrap();
-        let mut before = on_cpu(&config);
-        fit(&mut before, 0..stopped, true, Some(&again));
-        let mut resumed = Run::open(&cut).unwrap().resume().unwrap().unwrap();
+    for stopped in stops {
+        let again = Run::open(&cut(stopped)).unwrap();
+        let mut resumed = again.resume().unwrap().unwrap();
         resumed.recall(&views(stopped - 1, true)).unwrap();
         fit(&mut resumed, stopped..NUM_TIMESTEPS, true, Some(&again));
-        assert!(bytes(&cut) == bytes(run.folder()), "stopped after {stopped}");
+        assert!(bytes(again.folder()) == bytes(run.folder()), "stopped after {stopped}");
     }
 
     // A scene has all of them at every timestep, and the living ones as in its checkpoint.

@@ -1,8 +1,9 @@
-//! Helpers of tests on a GPU.
+//! Helpers of tests.
 
 pub mod engines;
 
 use std::io::Write;
+use std::path::Path;
 use std::sync::Arc;
 
 use rand::{RngExt, SeedableRng};
@@ -21,6 +22,15 @@ pub fn gpu() -> Option<Gpu> {
             let _ = writeln!(std::io::stderr(), "skipped: {error}");
             None
         }
+    }
+}
+
+/// Copies a folder. The copy of the folder that a run writes to is a run that was stopped.
+pub fn copy_folder(from: &Path, to: &Path) {
+    std::fs::create_dir(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap() {
+        let (from, to) = (entry.as_ref().unwrap().path(), to.join(entry.unwrap().file_name()));
+        if from.is_dir() { copy_folder(&from, &to) } else { std::fs::copy(&from, &to).map(drop).unwrap() }
     }
 }
 
