@@ -1,7 +1,7 @@
 //! `--force` of every command, onto names relative to the working directory, and on another file system; also the
 //! unfinished output of killed commands.
 //!
-//! `demo` is not tested here, since it takes a minute: continuous integration runs it twice, with a relative name.
+//! `demo` is not tested here, since it takes a minute: continuous integration runs it onto an earlier one's folder.
 
 use std::fs::{self, File};
 use std::io::Write;
